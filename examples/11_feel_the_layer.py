@@ -8,7 +8,7 @@ simulated people of each group discriminate the two with an error below 10 %. Sc
 numbers they gave, changes their right answers by less than 3 %: a mapping that rises with the force cannot add
 information. It spreads the difference for people whose exponent lies below the reference's and narrows it for the
 others. For an observer equal to the reference it changes nothing at all. The tissue itself scatters by more than any of
-this; people's exponents and thresholds are priors.
+this, the force at which a capsule breaks from 1.7 to 2.9 N; people's exponents and thresholds are priors.
 """
 
 from pathlib import Path

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["arc_length", "points_along"]
+__all__ = ["arc_length", "kept_corners", "points_along"]
 
 Array = NDArray[np.float64]
 
@@ -17,3 +17,30 @@ def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
     """Points at some path lengths from the first corner, shape (m, 3); the ends beyond them."""
     along, given, at = arc_length(corners), np.asarray(corners), np.asarray(lengths, dtype=np.float64)
     return np.column_stack([np.interp(at, along, given[:, axis]) for axis in range(3)])
+
+
+def kept_corners(corners: ArrayLike, within: float) -> NDArray[np.int64]:
+    """Places of the corners that are enough, in rising order: every other one lies within a distance of the line
+    through them (Douglas and Peucker 1973).
+
+    Parameters
+    ----------
+    corners
+        Shape (n, 3).
+    within
+        That distance, in the unit of the corners.
+    """
+    given = np.asarray(corners, dtype=np.float64)
+    kept, open_legs = {0, len(given) - 1}, [(0, len(given) - 1)]
+    while open_legs:
+        first, last = open_legs.pop()
+        if last - first < 2:
+            continue
+        along, between = given[last] - given[first], given[first + 1 : last] - given[first]
+        share = np.clip(between @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
+        off = np.linalg.norm(between - share[:, None] * along, axis=1)
+        if off.max() > within:
+            farthest = first + 1 + int(np.argmax(off))
+            kept.add(farthest)
+            open_legs += [(first, farthest), (farthest, last)]
+    return np.array(sorted(kept), dtype=np.int64)

@@ -5,6 +5,7 @@ crosses itself is filled as the union of what it encloses. Two runs give meshes 
 thread: a mesh is reproducible through the cache, which holds it by the content of the surface.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from meshes.tets.crossings import crossing_triangles
 from meshes.tets.quality import repair_tets
 from meshes.tets.report import millimetres, place
 from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.volume import with_volume
 
 __all__ = ["FILL_EDGES", "tetrahedralise"]
 
@@ -26,9 +28,10 @@ FILL_EDGES = 14.0
 _CELLS = 30_000
 _EDGE_PER_CELL = 2.7
 """Target edge over the cube root of the mean cell volume, as fTetWild came out on a liver."""
-_ENVELOPE = 0.1
-"""Distance that the surface may move, over the edge: tighter ones take minutes to hold."""
-_VOLUME_OFF = 0.02
+_ENVELOPE, _FARTHEST_M = 0.1, 4e-4
+"""Distance that the surface may move, over the edge, and at most [m]: less than the voxels of the scans behind it."""
+_VOLUME_OFF = 0.005
+"""Share by which the volume of the mesh may differ before a sentence states it."""
 
 
 def tetrahedralise(
@@ -72,23 +75,28 @@ def tetrahedralise(
             "was filled; mend the surface in a mesh editor if that is not meant."
         )
 
+    envelope = min(_ENVELOPE * edge, _FARTHEST_M)
+
     def make() -> dict[str, np.ndarray]:
         report(f"filling {surface.report.source} with tetrahedra (once; a minute or two)", 0.0)
-        nodes, cells = _filled(surface, edge)
+        nodes, cells = _filled(surface, edge, envelope)
         return {"nodes": nodes, "cells": cells}
 
-    arrays = cached_arrays("tetwild-2", (surface.vertices_m, surface.faces, edge, _ENVELOPE), make)
+    arrays = cached_arrays("tetwild-3", (surface.vertices_m, surface.faces, edge, envelope), make)
     report(f"filling {surface.report.source} with tetrahedra", 1.0)
     if len(arrays["cells"]) == 0:
         raise InputError(f"surface must enclose a solid, got none of edge {edge:g} m: use a smaller edge_m")
     mesh, repaired = repair_tets(arrays["nodes"], arrays["cells"])
+    if not len(crossing):
+        mesh = with_volume(mesh, volume, within_m=envelope)
+        repaired = replace(repaired, mesh=mesh)
     off = float(mesh.volumes_m3.sum()) / volume - 1.0
     if abs(off) > _VOLUME_OFF:
         sentences.append(f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use smaller edges.")
     return mesh, (*sentences, *repaired.sentences())
 
 
-def _filled(surface: Surface, edge: float) -> tuple[np.ndarray, np.ndarray]:
+def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray, np.ndarray]:
     """Nodes [m] and cells by fTetWild."""
     from pytetwild import tetrahedralize  # type: ignore[attr-defined]
 
@@ -98,7 +106,7 @@ def _filled(surface: Surface, edge: float) -> tuple[np.ndarray, np.ndarray]:
         surface.vertices_m,
         surface.faces.astype(np.int32),
         edge_length_abs=edge,
-        epsilon=max(_ENVELOPE * edge / float(np.linalg.norm(np.ptp(surface.vertices_m, axis=0))), 1e-4),
+        epsilon=max(envelope / float(np.linalg.norm(np.ptp(surface.vertices_m, axis=0))), 1e-4),
         quiet=True,
         vtk_ordering=True,
     )

@@ -25,7 +25,6 @@ from scipy.signal import lfilter  # noqa: E402
 from tissue.fitting.averaged import block_averages  # noqa: E402
 from tissue.fitting.cutting import CuttingForward, cutting_forward  # noqa: E402
 from tissue.fitting.identifiability import identified  # noqa: E402
-from tissue.fitting.noise import FREEDOM  # noqa: E402
 from tissue.fitting.posterior import maximum_posterior  # noqa: E402
 from tissue.fitting.target import OFFSET_S  # noqa: E402
 from tissue.scene.load import load_scene  # noqa: E402
@@ -35,15 +34,17 @@ CUTS = {
     "tooth": ("caries", {}, [0.4, -1.2, -1.6, -3.0, -3.0, -3.0], [0.0, 0.8, 1.8, 2.5, 3.0, 3.8], 0.6),
 }
 """Scene, changes, heights of the tip [mm] and their times [s], and how far it goes aside at the end [mm]."""
-EVERY, BLOCK = 2, 20
-"""Ticks between two poses of the fit's forward model, and of a block of the log's samples, 1 kHz, that are averaged."""
+BLOCK = 20
+"""Ticks of a block of the log's samples, 1 kHz, that are averaged."""
 NOISE, BIAS, CORRELATION = 0.06, 0.1, 0.9
 """Scale of the noise and of the bias in shares of the greatest force, and torque, at the cited constants; of noise."""
+FREEDOM = 4.0
+"""Degrees of freedom of what the noise adds in a millisecond."""
 
 
 @cache
 def cut(kind: str) -> tuple[CuttingForward, CuttingForward]:
-    """Every tick, and those that the fit takes."""
+    """Every tick, and averaged as the fit takes it."""
     name, changes, heights, times, aside = CUTS[kind]
     scene = load_scene(name, changes).model_copy(update={"stress": None})
     tips = np.zeros((len(heights), 3))
@@ -51,10 +52,8 @@ def cut(kind: str) -> tuple[CuttingForward, CuttingForward]:
     tips[-1, 0] = aside
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(tips), 1))
     whole = cutting_forward(scene, np.array(times), 1e-3 * tips, upright, cores=1)
-    record, few = whole.record, slice(None, None, EVERY)
-    layers = {at: replace(each, unit=np.ascontiguousarray(each.unit[:, :, few])) for at, each in record.layers.items()}
-    record = replace(record, times_s=record.times_s[few], layers=layers)
-    return whole, replace(whole, record=record, times_s=whole.times_s[few])
+    log = block_averages(whole.times_s, np.zeros((len(whole.times_s), 6)), whole.channels, BLOCK)
+    return whole, whole.averaged_as(log)[0]
 
 
 def one(task: tuple[str, int, bool]) -> tuple[list[tuple[str, bool]], bool, float]:
@@ -70,7 +69,7 @@ def one(task: tuple[str, int, bool]) -> tuple[list[tuple[str, bool]], bool, floa
     fresh = rng.standard_normal(values.shape) if normal else rng.standard_t(FREEDOM, values.shape)
     noise = lfilter([1.0], [1.0, -CORRELATION], NOISE * size * fresh, axis=0)
     measured = values + noise + BIAS * size * rng.standard_normal(6)
-    log = block_averages(whole.times_s, measured, whole.channels, BLOCK)
+    log = replace(block_averages(whole.times_s, measured, whole.channels, BLOCK), within_s=(0.0,))
     start = process_time()
     posterior = maximum_posterior(forward, log)
     took, result = process_time() - start, identified(posterior)
@@ -107,7 +106,7 @@ def main() -> None:
                         counts[each] += 1
                         hits[each] += inside
         _, forward = cut(kind)
-        print(f"{kind}: {options.fits} fits of {len(forward.times_s) * EVERY // BLOCK} samples, {len(forward.parameters)} constants, "
+        print(f"{kind}: {options.fits} fits of {len(cut(kind)[0].times_s) // BLOCK} samples, {len(forward.parameters)} constants, "
               f"{converged} converged, median {np.median(seconds):.2f} s of processor time")  # fmt: skip
         for name, count in sorted(counts.items(), key=lambda each: -each[1]):
             print(f"  {name:55s} {100 * hits[name] / count:5.1f} % of {count}", flush=True)

@@ -1,9 +1,9 @@
 """Bone that one holds: made of a file, a block, an array or an image, cut by tools, shown."""
 
-from collections.abc import Mapping
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,7 @@ from meshes.base.errors import InputError
 from meshes.shapes.anatomy import cortical_block
 from meshes.voxels.density_volume import density_volume
 from meshes.voxels.volume import VoxelVolume
+from tissue.api.bone_materials import BoneOptions, cut_as
 from tissue.api.bone_source import BoneSource, anatomy_source, image_source, surface_source
 from tissue.api.cut import Cut
 from tissue.api.poses import poses_of, times_of
@@ -19,9 +20,7 @@ from tissue.api.removed import Removed
 from tissue.builders.bone import VoxelBone, tool_boxes
 from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
-from tissue.materials.scene_constants import Materials
 from tissue.motion.replay import GivenPoses
-from tissue.scene.registry import CUTTING_MATERIALS
 from tissue.scene.scene import Output
 from tissue.simulation.loop import Loop, undisturbed
 
@@ -45,15 +44,13 @@ class Bone:
         Edge of a voxel [mm].
     """
 
-    def __init__(
-        self, source: BoneSource, *, material: str = "bone", cutting: Mapping[str, float] | None = None
-    ) -> None:
-        self._source, self._material, self._cutting = source, material, dict(cutting or {})
+    def __init__(self, source: BoneSource, **options: Unpack[BoneOptions]) -> None:
+        self._source, self._options = source, options
         made = source.voxels()
         names = made.layer_names if isinstance(made, VoxelVolume) else made.store.grid.layer_names
-        bone = CUTTING_MATERIALS[material][1]
-        self.voxel_bone = VoxelBone(made, Materials.cited.coefficients(names, self._cutting, bone=bone))
-        self.notes = dict(source.notes)
+        coefficients, note = cut_as(options, names, source.density_kg_m3)
+        self.voxel_bone = VoxelBone(made, coefficients)
+        self.notes = dict(source.notes) | note
         self.spacing_mm = 1e3 * self.voxel_bone.store.grid.spacing_m
 
     @classmethod
@@ -66,8 +63,7 @@ class Bone:
         cortical_thickness_mm: float = 1.5,
         cortical_density_kg_m3: float = 1800.0,
         trabecular_density_kg_m3: float = 350.0,
-        material: str = "bone",
-        cutting: Mapping[str, float] | None = None,
+        **options: Unpack[BoneOptions],
     ) -> "Bone":
         """Bone in a closed surface: a cortical shell of even thickness over trabecular bone.
 
@@ -83,15 +79,16 @@ class Bone:
             Thickness of the shell [mm], 0 (none) to 10; a surface does not hold it.
         cortical_density_kg_m3, trabecular_density_kg_m3
             Apparent densities [kg/m3], 50 to 2500.
-        material
-            Material of cited cutting coefficients: bone, or one that was registered or that a package offers.
-        cutting
-            Cutting coefficients in place of the cited ones, by their names in a scene: ``{"density_exponent": 2.0}``.
+        options
+            ``material``: of the cited cutting coefficients, bone, or one that was registered or that a package offers;
+            ``cutting``: coefficients in place of these, by their names in a scene, ``{"density_exponent": 2.0}``;
+            ``materials``: file of constants in place of the cited ones, as `tissue fit` writes it.
 
         Raises
         ------
         InputError
-            If the file cannot be read or encloses no solid, or a number is out of range.
+            If a file cannot be read, it encloses no solid or holds no constant of this bone, or a number is out of
+            range.
         """
         source = surface_source(
             Path(file),
@@ -101,7 +98,7 @@ class Bone:
             cortical_density_kg_m3=cortical_density_kg_m3,
             trabecular_density_kg_m3=trabecular_density_kg_m3,
         )
-        return cls(source, material=material, cutting=cutting)
+        return cls(source, **options)
 
     @classmethod
     def block(
@@ -110,8 +107,7 @@ class Bone:
         *,
         density_kg_m3: float = 1800.0,
         spacing_mm: float = 0.1,
-        material: str = "bone",
-        cutting: Mapping[str, float] | None = None,
+        **options: Unpack[BoneOptions],
     ) -> "Bone":
         """A block of one density, its top face at z = 0 with the origin at its middle.
 
@@ -121,7 +117,7 @@ class Bone:
             Edge lengths along x, y and z [mm], each 0.1 to 500.
         density_kg_m3
             Apparent density, 100 to 2500 kg/m3; 1800 is cortical bone.
-        spacing_mm, material, cutting
+        spacing_mm, options
             As of `from_file`.
 
         Raises
@@ -130,7 +126,8 @@ class Bone:
             If a number is not finite or out of range.
         """
         anatomy = cortical_block(size_mm=size_mm, density_kg_m3=density_kg_m3)
-        return cls(anatomy_source(anatomy, spacing_mm=spacing_mm), material=material, cutting=cutting)
+        source = anatomy_source(anatomy, spacing_mm=spacing_mm)
+        return cls(replace(source, density_kg_m3=density_kg_m3), **options)
 
     @classmethod
     def from_array(
@@ -141,8 +138,7 @@ class Bone:
         origin_mm: ArrayLike = (0.0, 0.0, 0.0),
         layer: ArrayLike | None = None,
         layer_names: tuple[str, ...] = ("bone",),
-        material: str = "bone",
-        cutting: Mapping[str, float] | None = None,
+        **options: Unpack[BoneOptions],
     ) -> "Bone":
         """Bone of an array of densities, 0 where there is none.
 
@@ -158,7 +154,7 @@ class Bone:
             Number of each voxel's layer, same shape; default all 0.
         layer_names
             Name of each layer; enamel, dentin, caries, pulp and ligament are cut as such, all others as `material`.
-        material, cutting
+        options
             As of `from_file`.
 
         Raises
@@ -169,7 +165,7 @@ class Bone:
         volume = density_volume(
             density_kg_m3, spacing_mm=spacing_mm, origin_mm=origin_mm, layer=layer, layer_names=layer_names
         )
-        return cls(BoneSource(lambda: volume), material=material, cutting=cutting)
+        return cls(BoneSource(lambda: volume), **options)
 
     @classmethod
     def from_image(
@@ -179,8 +175,7 @@ class Bone:
         threshold: float,
         density_kg_m3: float = 1800.0,
         spacing_mm: float | None = None,
-        material: str = "bone",
-        cutting: Mapping[str, float] | None = None,
+        **options: Unpack[BoneOptions],
     ) -> "Bone":
         """Bone of an image volume: what lies above a grey value, of one density, in the patient's frame (LPS, mm).
 
@@ -194,7 +189,7 @@ class Bone:
             Apparent density of the bone, 50 to 20000 kg/m3.
         spacing_mm
             Edge of a voxel [mm] to resample to; default the finest of the file's.
-        material, cutting
+        options
             As of `from_file`.
 
         Raises
@@ -203,7 +198,7 @@ class Bone:
             If the file cannot be read, nothing lies above the threshold, or it would not fit memory.
         """
         source = image_source(Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm)
-        return cls(source, material=material, cutting=cutting)
+        return cls(source, **options)
 
     def cut(self, tool: Cutter, poses: ArrayLike, times_s: ArrayLike, *, axis: ArrayLike | None = None) -> Cut:
         """Move a turning tool through poses: take away what it sweeps, and give the force at every pose.
@@ -259,7 +254,7 @@ class Bone:
 
     def uncut(self) -> "Bone":
         """The same bone before any cut."""
-        return Bone(self._source, material=self._material, cutting=self._cutting)
+        return Bone(self._source, **self._options)
 
     @property
     def layer_names(self) -> tuple[str, ...]:

@@ -37,11 +37,14 @@ class BoneSource:
         Makes its surface before any cut [mm]; None where all voxels are made.
     notes
         What was found or assumed, by what it is about.
+    density_kg_m3
+        Its density where all of it has one.
     """
 
     voxels: Callable[[], VoxelVolume | BricksOnDemand]
     outer: "Callable[[], pyvista.PolyData] | None" = None
     notes: Mapping[str, str] = field(default_factory=dict)
+    density_kg_m3: float | None = None
 
 
 def anatomy_source(
@@ -117,7 +120,8 @@ def image_source(path: Path, *, threshold: float, density_kg_m3: float, spacing_
         )
     assert found.placement is not None
     volume = replace(found, origin_m=found.origin_m + 1e-3 * found.placement.origin_mm, placement=None)
-    return BoneSource(lambda: volume, notes={"image": " ".join(remarks).replace(KEY, "")} if remarks else {})
+    notes = {"image": " ".join(remarks).replace(KEY, "")} if remarks else {}
+    return BoneSource(lambda: volume, notes=notes, density_kg_m3=density_kg_m3)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from os import PathLike
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from meshes.base.errors import InputError, require_direction, require_positive, require_range, require_vector
 from tissue.api.bone import Bone
 from tissue.api.cut import saved_table
+from tissue.api.loop_materials import device_note
 from tissue.api.loop_parts import bone_met, organ_met, own_names, require_match, settings_of, start_above, usual_force_N
 from tissue.api.organ import Organ
 from tissue.api.simulate import TickRow
@@ -23,6 +25,7 @@ from tissue.builders.parts import Parts
 from tissue.cutters import Cutter, ball_burr
 from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.supervision import run_held
+from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.stays import StaysAt
 from tissue.prediction.outside import Observes
@@ -71,6 +74,7 @@ class Loop:
         predictor: str | Observes | None = None,
         predictor_file: str | Path | None = None,
         hand: str = "expert",
+        materials: str | PathLike[str] | Materials | None = None,
         renderer: str = "proxy",
         stiffness_N_m: float | None = None,
         force_scale: float | None = None,
@@ -107,6 +111,9 @@ class Loop:
             What `tissue train` wrote, for a name that is trained.
         hand
             Whose hand holds the device, for the judgement: novice, intermediate or expert.
+        materials
+            File of constants of device and hand in place of the known ones, as `tissue fit` writes it; bone and organs
+            take their own.
         renderer
             Law by which the device plays what the tool meets: proxy, penalty or passivity.
         stiffness_N_m
@@ -150,6 +157,7 @@ class Loop:
             type(device).__name__,
             limits,
             hand=hand,
+            materials=Materials.of(materials),
             renderer=renderer,
             contact="cuts" if isinstance(tool, Cutter) else "presses",
             low_pass_ms=require_range("low_pass_ms", low_pass_ms, 0.0, 1000.0, "use 1"),
@@ -184,7 +192,8 @@ class Loop:
             else:
                 assert isinstance(tool, PressingTool)
                 model, self._keep_ready = organ_met(tissue, tool, start_m, along, reach_m=reach_m)
-        self.notes = dict(tissue.notes) | {"coupling": "; ".join(found)}
+        self.notes = dict(tissue.notes) | device_note(Materials.of(materials), tissue, limits=limits, hand=hand)
+        self.notes["coupling"] = "; ".join(found)
         cutter = tool if isinstance(tool, Cutter) else None
         self._motion, self._most, self._closing = motion, ticks, ExitStack()
         self._loop = engine.Loop(

@@ -21,6 +21,7 @@ from tissue.builders.prediction import predictor as predictor_by_name
 from tissue.cutters import Cutter
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import hand_parameters
+from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S, TissueModel, ToolMotion
 from tissue.motion.motion import frame_along
 from tissue.prediction.outside import GuardedMaker, Observes
@@ -149,6 +150,7 @@ def settings_of(
     limits: str | DeviceParameters | Mapping[str, float],
     *,
     hand: str,
+    materials: Materials,
     renderer: str,
     contact: Contact,
     low_pass_ms: float,
@@ -157,7 +159,7 @@ def settings_of(
     coupling: dict[str, float | None],
 ) -> LoopSettings:
     """What lies between a device and a tool, from a caller's arguments."""
-    numbers = device_parameters(limits) if isinstance(limits, str) else limits
+    numbers = device_parameters(limits, materials) if isinstance(limits, str) else limits
     if isinstance(numbers, Mapping):
         known = [each.name for each in fields(DeviceParameters)]
         if unknown := [name for name in numbers if name not in known]:
@@ -201,7 +203,7 @@ def settings_of(
         device,
         numbers,
         hand,
-        hand_parameters(hand),
+        hand_parameters(hand, materials),
         chosen,
         renderer,
         low_pass_ms,

@@ -11,10 +11,12 @@ from meshes.base.errors import names_of_caller, require_vector
 from meshes.base.progress import Progress, silent
 
 if TYPE_CHECKING:
+    from os import PathLike
     from pathlib import Path
 
     from meshes.ct.labels import Labels
     from tissue.builders.organ_made import MadeOrgan, OrganOptions
+    from tissue.materials.scene_constants import Materials
 
 __all__ = ["OrganMakers"]
 
@@ -216,8 +218,9 @@ class OrganMakers:
     def liver(
         cls,
         *,
-        modulus_kPa: float = 5.4,
-        poisson_ratio: float = 0.49,
+        modulus_kPa: float | None = None,
+        poisson_ratio: float | None = None,
+        materials: str | PathLike[str] | Materials | None = None,
         edge_mm: float = 20.0,
         **options: Unpack[OrganOptions],
     ) -> Self:
@@ -226,13 +229,24 @@ class OrganMakers:
         Parameters
         ----------
         modulus_kPa, poisson_ratio, options
-            As of `from_tetrahedra`; the defaults are the cited values.
+            As of `from_tetrahedra`; the defaults are the cited values, 5.4 kPa and 0.49.
+        materials
+            File of constants in place of the cited ones, as `tissue fit` writes it.
         edge_mm
             Edge of the tetrahedra [mm].
+
+        Raises
+        ------
+        InputError
+            If the file cannot be used, or holds neither modulus nor Poisson's ratio of liver.
         """
         from meshes.organs.liver import liver
         from tissue.builders.organ_made import made_of
+        from tissue.builders.own_constants import soft_constants
 
+        stated = {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio}
+        with names_of_caller({"organ.young_kPa": "modulus_kPa", "organ.poisson_ratio": "poisson_ratio"}):
+            taken, notes = soft_constants(materials, "liver", stated)
         with names_of_caller({"spacing_m": "edge_mm"}):
             mesh = liver(spacing_m=1e-3 * edge_mm)
-        return cls(made_of(mesh, {}, {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, **options}))
+        return cls(made_of(mesh, notes, {**taken, **options}))

@@ -6,6 +6,7 @@ import numpy as np
 
 from meshes.base.errors import names_of_caller
 from meshes.base.progress import Progress
+from meshes.shapes.polyline import kept_corners
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.organ_body import capsule_of, density_of, prony_of
 from tissue.builders.parts import Parts
@@ -23,6 +24,8 @@ from tissue.scene.tool import Needle, Probe
 
 __all__ = ["pierced", "pressed", "wall"]
 
+KEPT = 0.01
+"""Edges of the mesh by which a corner of the path that is left out may lie beside it: a log has one each tick."""
 HAND_M = 0.01
 """How far from the planned track a hand's entry is still shown on it [m]: an eighth of its block."""
 
@@ -72,7 +75,9 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     prony = prony_of(organ, notes, scene.constants)
     report("meshing the organ", 0.0)
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
-    found = held_mesh(anatomy, path_m=motion.sweep_m(), touch_edge_m=1e-3 * edge_mm, report=report)
+    within_m, path = 1e-3 * KEPT * edge_mm, motion.sweep_m()
+    path = path[kept_corners(path, within_m)]
+    found = held_mesh(anatomy, path_m=path, touch_edge_m=1e-3 * edge_mm, report=report)
     elasticity, note = elasticity_of(found.mesh, anatomy, organ, scene.constants)
     probe = loaded(PROBES[scene.tool.kind].make)(scene.tool)
     notes |= found.notes | {"modulus": note}
@@ -88,7 +93,7 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
         friction=organ.friction, device=compute,
     )  # fmt: skip
     report("assembling the stiffness", 0.0)
-    tips, turns = poses_along(motion)
+    tips, turns = poses_along(motion, within_m)
     with names_of_caller({"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}):
         model, touchable = soft.under(
             probe, tips, turns, path=organ.path, basis_size=organ.basis_size, step_s=step_s, cores=cores,

@@ -1,6 +1,7 @@
 """What a scene's own file of constants does in it: every entry must have an effect, or be named in the run's notes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 
 from meshes.base.errors import InputError
@@ -8,11 +9,12 @@ from meshes.surfaces.glenoid import GLENOID_LAYERS
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.vertebra.lumbar import VERTEBRA_LAYERS
 from tissue.materials.constants import listed
+from tissue.materials.scene_constants import Materials
 from tissue.scene.named_parts import nearest, shown
 from tissue.scene.scene import Scene
-from tissue.scene.used_constants import used_constants
+from tissue.scene.used_constants import Used, used_constants
 
-__all__ = ["note_own_constants"]
+__all__ = ["given_note", "note_own_constants", "soft_constants"]
 
 LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 """Layers of anatomies that are built in; a file may hold constants of one that a scene does not have."""
@@ -26,9 +28,19 @@ def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str
     InputError
         If none has an effect, the scene states one of them itself, or a layer is none.
     """
-    given = scene.constants
+    notes |= given_note(scene.constants, used_constants(scene, layers), layers=layers, by="scene")
+
+
+def given_note(given: Materials, rests_on: Sequence[Used], *, layers: Sequence[str], by: str) -> dict[str, str]:
+    """The note ``materials`` of what `by` names, which rests on these constants; none where all are cited.
+
+    Raises
+    ------
+    InputError
+        As of `note_own_constants`.
+    """
     if not given.given:
-        return
+        return {}
     name, known = Path(given.file).name, dict.fromkeys((*listed("cutting"), *LAYERS, *layers))
     for entry in given.given:
         table, layer, _ = entry.split(".")
@@ -37,7 +49,7 @@ def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str
                 f"materials must name a material of cutting or a layer, got {layer}{nearest(layer, known)} in {name}: "
                 f"use one of {', '.join(known)}"
             )
-    used = {one.full: one for one in used_constants(scene, layers) if one.full in given.given}
+    used = {one.full: one for one in rests_on if one.full in given.given}
     for full, one in used.items():
         if one.stated is not None:
             part = "organ.young_kPa" if one.name == "modulus_kPa" else f"{full.split('.')[0]}.{one.name}"
@@ -47,12 +59,32 @@ def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str
             )
     if not used:
         raise InputError(
-            f"materials must hold a constant that the scene rests on, got {', '.join(given.given)} in {name}: name the "
-            "materials of this scene, or leave materials out"
+            f"materials must hold a constant that the {by} rests on, got {', '.join(given.given)} in {name}: name the "
+            f"materials of this {by}, or leave materials out"
         )
-    notes["materials"] = f"of {name}: " + "; ".join(
+    note = f"of {name}: " + "; ".join(
         f"{full} {one.cited.value:g} ({one.cited.low:g}-{one.cited.high:g}), {one.cited.source}"
         for full, one in used.items()
     )
     if unused := [full for full in given.given if full not in used]:
-        notes["materials"] += f". Not used in this scene: {', '.join(unused)}"
+        note += f". Not used in this {by}: {', '.join(unused)}"
+    return {"materials": note}
+
+
+def soft_constants(
+    materials: str | PathLike[str] | Materials | None, material: str, stated: Mapping[str, float | None]
+) -> tuple[dict[str, float], dict[str, str]]:
+    """Constants of an organ's material by the names of `stated`, what is stated first, and the note on their file.
+
+    Raises
+    ------
+    InputError
+        As of `note_own_constants`.
+    """
+    given = Materials.of(materials)
+    known = given.constants("soft", material)
+    used = [
+        Used(f"soft, {material}", name, known[name], f"soft.{material}.{name}", value) for name, value in stated.items()
+    ]
+    taken = {name: known[name].value if value is None else value for name, value in stated.items()}
+    return taken, given_note(given, used, layers=(), by="organ")

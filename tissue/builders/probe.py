@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, is_file, names_of_caller
-from meshes.shapes.polyline import arc_length, points_along
+from meshes.shapes.polyline import arc_length, kept_corners, points_along
 from meshes.tets.tetrahedra import TetMesh
 from tissue.builders.parts import FILE_WORDS
 from tissue.models.organ.probe import CylinderProbe, ShellProbe, SphereProbe
@@ -58,11 +58,20 @@ def shell_note(tool: Probe, probe: ShellProbe) -> str:
     return f"{Path(tool.file or '').name} taken at {tool.scale_mm:g} mm per unit: {sides} mm"
 
 
-def poses_along(motion: Motion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Poses along a motion at which the organ is looked for: tips [m], shape (p, 3), and turns, shape (p, 3, 3)."""
+def poses_along(motion: Motion, within_m: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Poses along a motion at which the organ is looked for: tips [m], shape (p, 3), and turns, shape (p, 3, 3).
+
+    Parameters
+    ----------
+    motion
+        Where the tool goes.
+    within_m
+        How far a corner of its track that is left out may lie from the rest [m]; a log has one each tick.
+    """
     corners, turns = motion.sweep_m(), motion.rotations()
     along = arc_length(corners)
-    wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], POSES_TRIED), along]))
+    corner = along[kept_corners(corners, within_m)]
+    wanted = np.unique(np.concatenate([np.linspace(0.0, along[-1], POSES_TRIED), corner]))
     return points_along(corners, wanted), turns[np.searchsorted(along, wanted).clip(max=len(turns) - 1)]
 
 

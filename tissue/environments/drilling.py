@@ -1,6 +1,7 @@
 """Drilling through the enamel of a molar into the dentin, and stopping there."""
 
 from functools import cached_property
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,8 @@ class Drilling(ContactEnvironment):
 
     Parameters
     ----------
+    materials
+        File of constants in place of the cited ones, as `tissue fit` writes it.
     options
         As of `ContactEnvironment`.
     """
@@ -81,8 +84,9 @@ class Drilling(ContactEnvironment):
     usual_force_limit_N = 2.0
     thrust_N = 3.0
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *, materials: str | PathLike[str] | None = None, **options: Any) -> None:
         super().__init__(**options)
+        self._materials = materials
         self.motion = ToolMotion()
         self.surface_m = self.wanted_m = self._speed = self._deepest_m = 0.0
         self._response: Response | None = None
@@ -96,7 +100,7 @@ class Drilling(ContactEnvironment):
     def bone(self) -> RestorableBone:
         """The same under the bur; made at the first reset."""
         bur = ball_burr(diameter_mm=BUR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
-        return RestorableBone(self.volume, bur, shell_spacing_m=SPACING_M)
+        return RestorableBone(self.volume, bur, shell_spacing_m=SPACING_M, materials=self._materials)
 
     def _begin(self) -> None:
         self.bone.restore({name: self.drawn[f"{name}_density_kg_m3"] for name in ("enamel", "dentin")})

@@ -1,6 +1,7 @@
 """Milling a pocket out of cortical bone with a ball burr."""
 
 from functools import cached_property
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,8 @@ class Milling(ContactEnvironment):
     ----------
     patch
         Whether observations hold what is left around the burr.
+    materials
+        File of constants in place of the cited ones, as `tissue fit` writes it.
     options
         As of `ContactEnvironment`.
     """
@@ -84,9 +87,9 @@ class Milling(ContactEnvironment):
     top_speed_mm_s = 10.0
     reach_mm = np.array([[-2.75, -1.75, -1.1], [2.75, 1.75, 2.0]])
 
-    def __init__(self, *, patch: bool = False, **options: Any) -> None:
+    def __init__(self, *, patch: bool = False, materials: str | PathLike[str] | None = None, **options: Any) -> None:
         super().__init__(**options)
-        self._with_patch = patch
+        self._with_patch, self._materials = patch, materials
         if patch:
             around = spaces.Box(0.0, 1.0, (PATCH_POINTS,) * 3, np.float32)
             self.observation_space = spaces.Dict({"state": self.observation_space, "patch": around})
@@ -96,7 +99,8 @@ class Milling(ContactEnvironment):
     def bone(self) -> RestorableBone:
         """The block; made at the first reset."""
         burr = ball_burr(diameter_mm=BURR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
-        return RestorableBone(_block(self.pocket_mm), burr, shell_spacing_m=1e-3 * SPACING_MM)
+        block = _block(self.pocket_mm)
+        return RestorableBone(block, burr, shell_spacing_m=1e-3 * SPACING_MM, materials=self._materials)
 
     @cached_property
     def _target(self) -> tuple[NDArray[np.intp], Array]:

@@ -1,6 +1,7 @@
 """Voxels that a cutter cuts in many episodes: made once, brought back by copying."""
 
 from collections.abc import Mapping
+from os import PathLike
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,10 +9,12 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.bone import VoxelBone
+from tissue.builders.own_constants import given_note
 from tissue.cutters.cutter import Cutter
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.bricks import voxels_of
 from tissue.models.tissue_model import Response, ToolMotion
+from tissue.scene.used_constants import used_of_cutting
 
 __all__ = ["PATCH_POINTS", "RestorableBone"]
 
@@ -31,6 +34,8 @@ class RestorableBone:
         The tool.
     shell_spacing_m
         Distance between the cutter's elements [m].
+    materials
+        File of constants in place of the cited ones; None takes those.
 
     Attributes
     ----------
@@ -38,9 +43,19 @@ class RestorableBone:
         The bone under the cutter.
     """
 
-    def __init__(self, volume: VoxelVolume, cutter: Cutter, *, shell_spacing_m: float) -> None:
+    def __init__(
+        self,
+        volume: VoxelVolume,
+        cutter: Cutter,
+        *,
+        shell_spacing_m: float,
+        materials: str | PathLike[str] | None = None,
+    ) -> None:
+        given, layers = Materials.of(materials), volume.layer_names
+        used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
+        given_note(given, used, layers=layers, by="environment")
         # A material is named for layers that have none of their own; one core, as environments run beside each other.
-        bone = VoxelBone(volume, Materials.cited.coefficients(volume.layer_names, {}, bone="bone"))
+        bone = VoxelBone(volume, given.coefficients(layers, {}, bone="bone"))
         self.model = bone.model(cutter, shell_spacing_m=shell_spacing_m, cores=1)
         self._uncut = self.model.carver.state()
         self._material = self.model.store.material.numpy()

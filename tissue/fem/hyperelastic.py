@@ -1,4 +1,4 @@
-"""Tetrahedra under large deformation: energy, nodal forces and tangent stiffness of three laws.
+"""Tetrahedra under large deformation: energy, nodal forces and tangent stiffness.
 
 The nonlinear laws judge where the linear one stops being enough; nothing of them runs in a 1 kHz tick. Linear
 tetrahedra lock as Poisson's ratio nears 0.5; quadratic ones, with four Gauss points, do not.
@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 from scipy.sparse import bsr_array
 
-from kernels import tet_nonlinear as kernels
+from kernels import tet_hyperelastic, tet_nonlinear
 from kernels.launcher import SplitLaunch
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -19,6 +19,7 @@ from tissue.fem.pattern import local_pairs
 from tissue.fem.shapes import gradient_slopes
 from tissue.fem.space import Space
 from tissue.materials.elasticity import elasticity_rows
+from tissue.materials.hyperelasticity import Hyperelastic
 
 __all__ = ["Law", "NonlinearBody"]
 
@@ -43,23 +44,20 @@ class NonlinearBody:
         Nodes and cells, linear or quadratic.
     lame_Pa
         Lame constants lambda, mu of small strains [Pa], shape (2,) or (m, 2), as `tissue.materials.elasticity.lame`
-        makes them.
+        makes them; None for a hyperelastic law, which has its own constants.
     law
         Elastic law.
 
     Raises
     ------
     InputError
-        If the constants have another shape or are not those of a stable material.
+        If the constants have another shape or are not those of a stable material, or are given twice.
     """
 
-    def __init__(self, space: Space, lame_Pa: ArrayLike, *, law: Law) -> None:
-        if np.shape(lame_Pa)[-1:] != (2,):
-            raise InputError(f"lame_Pa must have shape (2,) or (m, 2), got {np.shape(lame_Pa)}: use materials.lame")
+    def __init__(self, space: Space, lame_Pa: ArrayLike | None, *, law: Law | Hyperelastic) -> None:
         self.space, self.law = space, law
         self.nodes_m, device = space.nodes_m, space.device
         count, width = space.cell_nodes.shape
-        lame = np.broadcast_to(elasticity_rows(lame_Pa, count), (count, 2))
         at = np.full((1, 4), 0.25) if space.order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
         reference = np.einsum("aci,qi->qac", gradient_slopes(4, space.order), at)
         first, second = local_pairs(width).T
@@ -81,21 +79,26 @@ class NonlinearBody:
         self._energy, self._force = out(count, wp.float64), out(space.node_count, wp.vec3d)
         self._blocks = out(len(pattern.column), wp.mat33d)
         shares, squares = out((count, width), wp.vec3d), out((count, len(first)), wp.mat33d)
-        model = [
+        force, stiffness = tet_nonlinear.tet_force, tet_nonlinear.tet_stiffness
+        if isinstance(law, Hyperelastic):
+            force, stiffness = tet_hyperelastic.stretch_force, tet_hyperelastic.stretch_stiffness
+        constants = [
+            put(part, wp.float64) if isinstance(part, np.ndarray) else part for part in _constants(lame_Pa, law, count)
+        ]
+        model: list[object] = [
             put(space.cell_nodes.astype(np.int32)), *space.gradients, put(reference, wp.float64),
-            put(np.full(len(at), 1.0 / len(at)), wp.float64), list(Law).index(law), put(lame, wp.float64),
-            self._displacement,
+            put(np.full(len(at), 1.0 / len(at)), wp.float64), *constants, self._displacement,
         ]  # fmt: skip
         places = [put(p) for p in (pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror)]
         node_places = [put(p.astype(np.int32)) for p in (node_start, node_place)]
         self._force_launches = (
-            launch(kernels.tet_force, count, model, [self._energy, shares]),
-            launch(kernels.gather_forces, space.node_count, [*node_places, shares.flatten()], [self._force]),
+            launch(force, count, model, [self._energy, shares]),
+            launch(tet_nonlinear.gather_forces, space.node_count, [*node_places, shares.flatten()], [self._force]),
         )
         ends = [put(first.astype(np.int32)), put(second.astype(np.int32))]
         self._stiffness_launches = (
-            launch(kernels.tet_stiffness, count, [*ends, *model], [squares]),
-            launch(kernels.gather_blocks, len(pattern.place), [*places, squares.flatten()], [self._blocks]),
+            launch(stiffness, count, [*ends, *model], [squares]),
+            launch(tet_nonlinear.gather_blocks, len(pattern.place), [*places, squares.flatten()], [self._blocks]),
         )
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
@@ -112,3 +115,18 @@ class NonlinearBody:
             run()
         pattern, size = self.space.pattern, self.space.unknown_count
         return bsr_array((self._blocks.numpy().copy(), pattern.column, pattern.row_start), shape=(size, size))
+
+
+def _constants(lame_Pa: ArrayLike | None, law: Law | Hyperelastic, count: int) -> tuple[int | Array, ...]:
+    """What the law's kernels take: its number and Lame constants, or moduli, terms and powers."""
+    if isinstance(law, Hyperelastic):
+        if lame_Pa is not None:
+            raise InputError("lame_Pa must be None for a hyperelastic law, which has its own constants: leave it out")
+        moduli = np.tile([law.bulk_Pa, law.shear_Pa], (count, 1))
+        shares = np.array(law.terms) / [law.shear_Pa, 1.0]
+        return moduli, shares, np.array(law.powers_Pa) / law.shear_Pa
+    if lame_Pa is None:
+        raise InputError("lame_Pa must have shape (2,) or (m, 2), got None: use materials.lame")
+    if np.shape(lame_Pa)[-1:] != (2,):
+        raise InputError(f"lame_Pa must have shape (2,) or (m, 2), got {np.shape(lame_Pa)}: use materials.lame")
+    return list(Law).index(law), np.broadcast_to(elasticity_rows(lame_Pa, count), (count, 2))

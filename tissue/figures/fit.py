@@ -51,7 +51,7 @@ class FittedConstant:
 
 
 def draw_measured(times_s: Array, measured: Array, simulated: Array, channels: Sequence[str], path: Path) -> None:
-    """Draw measured and simulated loads over time, forces above torques, and below each what is left.
+    """Draw measured and simulated loads over time, forces, torques and a hand's apart, and below each what is left.
 
     Parameters
     ----------
@@ -64,14 +64,15 @@ def draw_measured(times_s: Array, measured: Array, simulated: Array, channels: S
     path
         File to write.
     """
-    groups = [(unit, [at for at, name in enumerate(channels) if name.endswith(f"_{unit}")]) for unit in ("N", "Nm")]
-    groups = [(unit, places) for unit, places in groups if places]
+    whats = list(dict.fromkeys(name.partition("_")[0] for name in channels))
+    groups = [(what, [at for at, name in enumerate(channels) if name.startswith(f"{what}_")]) for what in whats]
     chart = figure(8.0, 0.9 + 2.9 * len(groups))
     rows = 2 * len(groups)
     panels = chart.subplots(rows, 1, sharex=True, height_ratios=(2.0, 1.0) * len(groups), squeeze=False)[:, 0]
     chart.subplots_adjust(left=0.11, right=0.98, top=0.93, bottom=0.5 / (0.9 + 2.9 * len(groups)), hspace=0.22)
-    for (unit, places), loads, rest in zip(groups, panels[::2], panels[1::2], strict=True):
-        shown, what = ("N m", "torque") if unit == "Nm" else ("N", "force")
+    for (what, places), loads, rest in zip(groups, panels[::2], panels[1::2], strict=True):
+        unit = channels[places[0]].rpartition("_")[2]
+        shown = "N m" if unit == "Nm" else unit
         for colour, at in zip(_colours(len(places)), places, strict=True):
             axis = channels[at].removesuffix(f"_{unit}").rpartition("_")[2]
             loads.plot(times_s, measured[:, at], color=MEASURED, linewidth=2.2, zorder=1)
@@ -108,7 +109,7 @@ def draw_residuals(innovations: Array, correlations: Array, freedom: float, path
     known = innovations[np.isfinite(innovations)]
     at = np.linspace(-6.0, 6.0, 121)
     spread.hist(np.clip(known, -6.0, 6.0), bins=60, range=(-6.0, 6.0), density=True, color="0.8")
-    spread.plot(at, t.pdf(at, freedom), color=SIMULATED, label=f"Student's t, {freedom:g} degrees of freedom")
+    spread.plot(at, t.pdf(at, freedom), color=SIMULATED, label=f"Student's t, {freedom:.3g} degrees of freedom")
     spread.set(xlabel="noise added in a sample / its scale", ylabel="density", yscale="log", ylim=(1e-4, 1.0))
     spread.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 1.14))
     lags = np.arange(correlations.shape[1])

@@ -9,7 +9,9 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.fitting.cutting_parameters import FACTOR, FreeConstant, LayerConstants, free_constants
+from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.parameter import Parameter
+from tissue.fitting.shift import shift_operators
 from tissue.materials.constants import CuttingCoefficients
 from tissue.materials.cutting import CUT_AS
 from tissue.models.tissue_model import TICK_S
@@ -62,6 +64,23 @@ class CuttingForward:
         slopes = self.record.jacobian(*self._with(x))
         columns = [slopes[:, :, each.layer, SENSITIVITIES.index(each.field)] * each.unit for each in self.free]
         return np.stack(columns, axis=-1)
+
+    def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
+        """The same cut with loads averaged as a log's samples are, thrice as often as these, and the log as read so.
+
+        A fit asks for loads thousands of times: it need not average each time.
+        """
+        span_s = log.within_s[-1] - log.within_s[0]
+        every = max(round(span_s / TICK_S / 3.0), 1)
+        times_s = self.times_s[::every]
+        means, _ = shift_operators(self.times_s, times_s, 0.0, log.within_s)
+        layers = {}
+        for at, each in self.record.layers.items():
+            by_time = means @ np.moveaxis(each.unit, 2, 0).reshape(len(self.times_s), -1)
+            shape = (len(times_s), *each.unit.shape[:2], each.unit.shape[3])
+            layers[at] = replace(each, unit=np.ascontiguousarray(np.moveaxis(by_time.reshape(shape), 0, 2)))
+        record = replace(self.record, times_s=self.record.times_s[::every], layers=layers)
+        return replace(self, record=record, times_s=times_s), replace(log, within_s=(0.0,))
 
     def _with(self, x: Array) -> tuple[tuple[CuttingCoefficients, ...], Array]:
         """Coefficients and density factors of each layer for values of the parameters, shape (p,)."""

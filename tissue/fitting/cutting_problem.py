@@ -29,6 +29,7 @@ def cutting_problem(
         )
     ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
+    forward, measured = forward.averaged_as(measured)
     layers = {each.name.split(".")[1] for each in forward.parameters if each.name.startswith("cutting.")}
     constants = {layer: scene.constants.layer_constants(layer, bone=scene.cutting.material) for layer in sorted(layers)}
     return Problem(

@@ -1,89 +1,39 @@
 """Mass, damping and friction of a haptic device from logs of it free and held.
 
-The tip obeys ``m a + b v + c v / |v| = gain applied + hand``. Positions come in the steps of an encoder, whose second
-difference is all noise. Both sides are averaged with a smooth window g instead, and the derivatives moved onto it by
-parts::
-
-    m (g'' * x) + b (g' * x) + c (g * v / |v|) = g * (gain applied + hand)
-
-which is exact for any window and needs no derivative of what was measured (Shinbrot 1957). With Gauss' window
-of 10 ms a step of 55 um at 1 kHz is an error of 0.03 m/s2 of the acceleration: over one of
-10 m/s2 it lowers the mass by 1e-5 of it. The equation is linear in the constants. What delays the motors (transport,
-amplifier) is the offset of clocks that every fit estimates.
+The tip obeys ``m a + b v + c v / |v| = gain motors + hand``. Both sides are averaged with a window, see
+`tissue.fitting.device_windows`; the equation is linear in the constants. What delays the motors is the offset of clocks
+that every fit estimates. An amplifier of time constant tau delays by tau, and weakens a tone w by (w tau)^2 / 2: the
+command is what is needed of the motors less tau^2 / 2 times its second derivative, over the gain. The force sensor of
+the held log has a clock of its own, and channels of its own, whose bias and noise are its own.
 
 While the tip is at rest, friction is anything up to c: such windows are left out. They bound c from below, see
 `least_friction_N`. The motors give a gain times what is commanded, which is estimated with the constants: a log of
 motor forces alone determines these in units of the gain; the force sensor of the held log is what makes them newtons.
-
-Of a simulated device that nothing disturbs the mass is 0.03 % too great, from positions and forces that are held over a
-tick: narrower intervals are too narrow (`python tests/bench/bench_fit_device.py 12`).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.sparse import csr_array
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.fitting.measured import MeasuredLoads
+from tissue.fitting.device_windows import APART_S, GRID_S, DeviceAverages, DeviceLog, device_averages, rests
+from tissue.fitting.measured import FEWEST, MeasuredLoads
 from tissue.fitting.parameter import Parameter
-from tissue.materials.constants import constants
+from tissue.fitting.shift import shift_operators
+from tissue.materials.constants import Constant, constants
 from tissue.materials.prior import Prior
 
-__all__ = ["DeviceLog", "device_fit", "least_friction_N"]
+__all__ = ["DeviceForward", "device_fit", "least_friction_N"]
 
-WINDOW_S = 0.01
-"""Standard deviation of the window [s]: well above an encoder's sample, well below a stroke of a hand."""
-HEADING_S = 0.004
-"""The same for the direction in which friction acts, which is averaged again [s]."""
-REACH = 6.0
-"""Half the window's support over its standard deviation. At 4 the second derivative of a window that is cut off no
-longer sums to zero, which took 8 % of the mass at 1.5 Hz."""
-RESTS = 2.0
-"""Encoder steps that the tip must move in a standard deviation of the window to be in motion."""
-REST_SHARE = 1e-3
-"""Share of a window that may be at rest, as at a turning point: what it can move the friction by."""
 AXES = ("x", "y", "z")
+CONSTANTS = ("mass_kg", "damping_N_s_m", "friction_N")
 GAIN = Parameter("motors.gain", Prior(1.0, 0.85, 1.18))
 """What motors give over what is commanded: 10 % between copies of a device (from memory of the literature)."""
-
-
-@dataclass(frozen=True, eq=False)
-class DeviceLog:
-    """A device in motion, at one rate.
-
-    Attributes
-    ----------
-    times_s
-        Shape (n,).
-    position_m
-        Of the tip as the encoders read it, shape (n, 3).
-    applied_N
-        Force of the motors on the tip, shape (n, 3).
-    hand_N
-        Measured force of what holds it, on the tip, shape (n, 3); None for a free device.
-    """
-
-    times_s: Array
-    position_m: Array
-    applied_N: Array
-    hand_N: Array | None = None
-
-    def __post_init__(self) -> None:
-        steps = np.diff(self.times_s)
-        if len(steps) == 0 or not np.allclose(steps, steps[0], rtol=0.01, atol=0.0) or steps[0] <= 0.0:
-            raise InputError("times_s must rise at one rate, got others: resample the log")
-        if len(self.times_s) * steps[0] < 4.0 * REACH * WINDOW_S:
-            raise InputError(
-                f"the log must last {4.0 * REACH * WINDOW_S:g} s, got {len(steps) * steps[0]:.3g} s: record the device "
-                "for several seconds"
-            )
-
-    @property
-    def force_N(self) -> Array:
-        """All forces on the tip but its friction and inertia, shape (n, 3)."""
-        return self.applied_N if self.hand_N is None else self.applied_N + self.hand_N
+HAND_CLOCK = Parameter("motors.hand_later_s", Prior(0.0, -0.033, 0.033))
+"""Offset of the hand's force sensor against the motors' commands: two instruments, as the offset of every fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,111 +43,116 @@ class DeviceForward:
     Attributes
     ----------
     parameters, channels, times_s
-        See `tissue.fitting.forward.Forward`; the last parameter is the gain of the motors.
-    basis
-        Averages of acceleration, velocity and direction, shape (n, channels, 3).
-    applied_N
-        Of the motors' force while the device is held, shape (n, channels).
-    alone
-        Whether the device is free: then its motors' force is what the equation gives, else the hand's, shape (n,).
+        See `tissue.fitting.forward.Forward`; mass, damping, friction, gain and lag of the motors, and the clock of the
+        hand's sensor where there is one. The held log follows the free one in time, in channels of its own.
+    free, held
+        Averages of the logs; None without a held one.
     """
 
     parameters: tuple[Parameter, ...]
     channels: tuple[str, ...]
     times_s: Array
-    basis: Array
-    applied_N: Array
-    alone: NDArray[np.bool_]
+    free: DeviceAverages
+    held: DeviceAverages | None
 
     def loads(self, x: Array) -> Array:
         """See `Forward`."""
-        needed = self.basis @ np.asarray(x[:3], dtype=float)
-        return np.where(self.alone[:, None], needed / x[3], needed - x[3] * self.applied_N)
+        free = self.free
+        found = np.zeros((len(self.times_s), len(self.channels)))
+        first, second = self._blocks(found)
+        first[:] = ((free.basis - 0.5 * x[4] ** 2 * free.bends) @ x[:3]) / x[3]
+        if self.held is not None:
+            second[:] = self._later(x, self.held)[0] @ (self.held.basis @ x[:3] - x[3] * self.held.motors_N)
+        return found
 
     def jacobian(self, x: Array) -> Array:
         """See `Forward`."""
-        needed = self.basis @ np.asarray(x[:3], dtype=float)
-        by_gain = np.where(self.alone[:, None], -needed / x[3] ** 2, -self.applied_N)
-        by_constants = np.where(self.alone[:, None, None], self.basis / x[3], self.basis)
-        return np.concatenate([by_constants, by_gain[:, :, None]], axis=2)
+        found = np.zeros((len(self.times_s), len(self.channels), len(self.parameters)))
+        first, second = self._blocks(found)
+        mixed = self.free.basis - 0.5 * x[4] ** 2 * self.free.bends
+        first[..., :3] = mixed / x[3]
+        first[..., 4] = -x[4] * (self.free.bends @ x[:3]) / x[3]
+        first[..., 3] = -(mixed @ x[:3]) / x[3] ** 2
+        if self.held is not None:
+            values, moved = self._later(x, self.held)
+            basis = self.held.basis
+            second[..., :3] = (values @ basis.reshape(len(basis), -1)).reshape(basis.shape)
+            second[..., 3] = -(values @ self.held.motors_N)
+            second[..., 5] = moved @ (basis @ x[:3] - x[3] * self.held.motors_N)
+        return found
+
+    def _blocks(self, values: Array) -> tuple[Array, Array]:
+        """The parts of the free and the held log, of what has shape (n, channels) or (n, channels, any)."""
+        rows, axes, _ = self.free.basis.shape
+        return values[:rows, :axes], values[rows:, axes:]
+
+    def _later(self, x: Array, held: DeviceAverages) -> tuple[csr_array, csr_array]:
+        """Values of the held log on the clock of the hand's sensor, and derivatives by its offset, as matrices."""
+        times_s = self.times_s[: len(held.basis)]
+        return shift_operators(times_s, times_s, float(x[5]))
 
 
-def device_fit(name: str, logs: tuple[DeviceLog, ...]) -> tuple[DeviceForward, MeasuredLoads]:
-    """What a fit of a device of `tissue/materials/devices.toml` takes: the averaged equation of one or more logs.
+def device_fit(name: str, free: DeviceLog, held: DeviceLog | None = None) -> tuple[DeviceForward, MeasuredLoads]:
+    """What a fit of a device of `tissue/materials/devices.toml` takes: the averaged equation, and what was measured.
 
     Raises
     ------
     InputError
-        If the device is not listed, or never moves.
+        If the device is not listed, hardly moves, or the logs differ in their rates.
     """
-    cited = constants("devices", name)
-    parameters = tuple(
-        Parameter(f"devices.{name}.{each}", Prior.of(cited[each], each))
-        for each in ("mass_kg", "damping_N_s_m", "friction_N")
-    )
-    bases, values, motors, alone = [], [], [], []
-    step = float(np.median(np.diff(logs[0].times_s)))
-    for log in logs:
-        if abs(float(np.median(np.diff(log.times_s))) / step - 1.0) > 0.01:
+    cited, step = constants("devices", name), free.step_s
+    lag_s, most_s = (0.5 / np.pi / each for each in (cited["amplifier_Hz"].value, cited["amplifier_Hz"].low))
+    parameters = [Parameter(f"devices.{name}.{each}", Prior.of(cited[each], each)) for each in CONSTANTS]
+    parameters += [GAIN, Parameter("motors.lag_s", Prior(lag_s, 0.0, most_s))]
+    logs = [free]
+    if held is not None:
+        if abs(held.step_s / step - 1.0) > 0.01:
             raise InputError("logs must have one rate, got several: resample them to the first one's")
-        basis, force, applied = _averaged(log, cited["encoder_step_m"].value)
-        bases.append(basis)
-        values.append(force)
-        motors.append(np.zeros_like(applied) if log.hand_N is None else applied)
-        alone.append(np.full(len(force), log.hand_N is None))
-    measured = np.concatenate(values)
-    if not np.isfinite(measured).any():
-        raise InputError("the log must show the device in motion, got one at rest: let it move by centimetres")
-    every = max(round(WINDOW_S / step), 1)
-    times = np.asarray(step * every * np.arange(len(measured)), dtype=np.float64)
-    channels = tuple(f"force_{axis}_N" for axis in AXES)
-    whole = np.concatenate(bases)
-    moves = np.isfinite(measured).any(axis=0) & (np.abs(whole).max(axis=(0, 2)) > 0.0)
-    kept = tuple(channel for channel, moved in zip(channels, moves, strict=True) if moved)
-    return (
-        DeviceForward(
-            (*parameters, GAIN), kept, times, whole[:, moves], np.concatenate(motors)[:, moves], np.concatenate(alone)
-        ),
-        MeasuredLoads(times, measured[:, moves], kept),
-    )
+        logs.append(DeviceLog(held.times_s, held.position_m, _delayed(held, cited), held.hand_N))
+        parameters.append(HAND_CLOCK)
+    grid = max(round(GRID_S / step), 1)
+    apart = max(round(APART_S / (grid * step)), 1)
+    axes = np.flatnonzero(np.any([np.ptp(log.position_m, axis=0) > 0.0 for log in logs], axis=0))
+    found = [device_averages(log, axes, cited["encoder_step_m"].value, grid) for log in logs]
+    channels = tuple(f"{kind}_{AXES[at]}_N" for kind in ("force", "hand")[: len(logs)] for at in axes)
+    values = np.full((sum(len(each.force_N) for each in found), len(channels)), np.nan)
+    values[: len(found[0].force_N), : len(axes)] = found[0].force_N
+    if held is not None:
+        values[len(found[0].force_N) :, len(axes) :] = found[1].force_N
+    times = np.asarray(step * grid * np.arange(len(values)), dtype=np.float64)
+    forward = DeviceForward(tuple(parameters), channels, times, found[0], found[1] if held is not None else None)
+    return forward, _in_motion(times[::apart], values[::apart], channels)
 
 
 def least_friction_N(log: DeviceLog, encoder_step_m: float) -> float:
     """Greatest force that was on the tip while it rested [N]: friction is no less; 0 for a tip that never rests."""
-    rests = _rests(log, encoder_step_m)
-    return float(np.linalg.norm(log.force_N[rests], axis=1).max()) if rests.any() else 0.0
+    still = rests(log, encoder_step_m)
+    return float(np.linalg.norm(log.force_N[still], axis=1).max()) if still.any() else 0.0
 
 
-def _averaged(log: DeviceLog, encoder_step_m: float) -> tuple[Array, Array, Array]:
-    """Averages of acceleration, velocity and direction, (k, 3, 3), of what is measured (the hand's force on a held
-    device, else that of the motors), (k, 3), NaN where the tip rests, and of the motors' force, (k, 3)."""
-    step = float(np.median(np.diff(log.times_s)))
-    position = log.position_m - log.position_m[0]
-    speed = _filtered(position, step, 1)
-    heading = _filtered(position, step, 1, HEADING_S)
-    moves = np.linalg.norm(heading, axis=1, keepdims=True)
-    direction = np.where(moves > 0.0, heading / np.maximum(moves, 1e-12), 0.0)
-    columns = [_filtered(position, step, 2), speed, _filtered(direction, step, 0)]
-    rest = _filtered(_rests(log, encoder_step_m)[:, None].astype(float), step, 0)[:, 0]
-    force = _filtered(log.applied_N if log.hand_N is None else log.hand_N, step, 0)
-    edge = round(REACH * WINDOW_S / step)
-    inside = np.zeros(len(force), dtype=bool)
-    inside[2 * edge : -2 * edge] = True
-    force = np.where((inside & (rest < REST_SHARE))[:, None], force, np.nan)
-    every = max(round(WINDOW_S / step), 1)
-    motors = _filtered(log.applied_N, step, 0)
-    return np.stack(columns, axis=-1)[::every], force[::every], motors[::every]
+def _in_motion(times_s: Array, values: Array, channels: tuple[str, ...]) -> MeasuredLoads:
+    """The channels along which the tip was moved.
+
+    Raises
+    ------
+    InputError
+        If it hardly was.
+    """
+    known = np.isfinite(values)
+    kept = [at for at in range(len(channels)) if np.any(values[known[:, at], at])]
+    if not kept or known[:, kept].sum(axis=0).min() < FEWEST:
+        seconds = known.any(axis=1).sum() * APART_S
+        raise InputError(
+            f"each log must show the device in motion for {FEWEST * APART_S:g} s, got {seconds:.2g} s in all: let it "
+            "move by centimetres for several seconds"
+        )
+    return MeasuredLoads(times_s, values[:, kept], tuple(channels[at] for at in kept))
 
 
-def _rests(log: DeviceLog, encoder_step_m: float) -> NDArray[np.bool_]:
-    """Where the tip moves less than a few steps of the encoder in the window, shape (n,)."""
-    speed = np.linalg.norm(_filtered(log.position_m, float(np.median(np.diff(log.times_s))), 1), axis=1)
-    return np.asarray(speed * WINDOW_S < RESTS * encoder_step_m)
-
-
-def _filtered(values: Array, step_s: float, derivative: int, window_s: float = WINDOW_S) -> Array:
-    """Average with Gauss' window, or with its first or second derivative, shape (n, any)."""
-    from scipy.ndimage import gaussian_filter1d
-
-    found = gaussian_filter1d(values, window_s / step_s, axis=0, order=derivative, truncate=REACH, mode="nearest")
-    return np.asarray(found / step_s**derivative, dtype=np.float64)
+def _delayed(log: DeviceLog, cited: dict[str, Constant]) -> Array:
+    """What motors make of their commands, by the cited delay and amplifier, shape (n, 3)."""
+    keeps = float(np.exp(-2.0 * np.pi * cited["amplifier_Hz"].value * log.step_s))
+    driven = np.concatenate([log.applied_N[:1], log.applied_N[:-1]])
+    smooth = lfilter([1.0 - keeps], [1.0, -keeps], driven, axis=0)
+    late_s = log.times_s - cited["transport_delay_s"].value
+    return np.column_stack([np.interp(late_s, log.times_s, each) for each in smooth.T])

@@ -8,7 +8,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.fitting.columns import Quantity, parse_columns
-from tissue.fitting.device import DeviceLog
+from tissue.fitting.device_windows import DeviceLog
 from tissue.fitting.log_files import read_columns
 
 __all__ = ["QUANTITIES", "read_device_log"]
@@ -47,25 +47,20 @@ def read_device_log(path: Path, columns: Sequence[str] = (), *, held: bool) -> D
     """
     maps, found = parse_columns(columns, QUANTITIES), read_columns(path)
 
-    def column(name: str) -> Array | None:
-        if name in maps:
-            place, factor, _ = maps[name].find(found.names)
-            return factor * found.numbers(place)
-        return QUANTITIES[name].factor * found.numbers(name) if name in found.names else None
+    values, notes = found.taken(maps, QUANTITIES)
 
     def vectors(names: tuple[str, ...], *, needed: bool) -> Array | None:
-        taken = [column(name) for name in names]
-        if missing := [name for name, values in zip(names, taken, strict=True) if values is None]:
+        if missing := [name for name in names if name not in values]:
             if needed or len(missing) < len(names):
                 raise InputError(
                     f"measured must hold {', '.join(missing)}, got {path.name} with {', '.join(found.names[:40])}: "
                     f"name the log's own columns by --column {missing[0]}=COLUMN[:UNIT]"
                 )
             return None
-        values = np.column_stack([each for each in taken if each is not None])
-        if not np.isfinite(values).all():
+        joined = np.column_stack([values[name] for name in names])
+        if not np.isfinite(joined).all():
             raise InputError(f"measured must hold finite numbers, got one of {names[0]} that is not in {path.name}")
-        return values
+        return joined
 
     times = vectors(TIMES, needed=True)
     tip = vectors(TIP, needed=True)
@@ -74,4 +69,6 @@ def read_device_log(path: Path, columns: Sequence[str] = (), *, held: bool) -> D
     assert times is not None and tip is not None
     if not held and hand is not None and hand.any():
         raise InputError(f"measured must be of a free device, got a hand's force in {path.name}: give it as --held")
-    return DeviceLog(times[:, 0], tip, np.zeros_like(tip) if motors is None else motors, hand if held else None)
+    return DeviceLog(
+        times[:, 0], tip, np.zeros_like(tip) if motors is None else motors, hand if held else None, tuple(notes)
+    )

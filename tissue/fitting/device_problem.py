@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from meshes.base.errors import InputError
-from tissue.fitting.device import WINDOW_S, DeviceLog, device_fit, least_friction_N
+from tissue.fitting.device import device_fit, least_friction_N
 from tissue.fitting.device_log import read_device_log
+from tissue.fitting.device_windows import APART_S, DeviceLog
 from tissue.fitting.problem import Problem
 from tissue.materials.constants import constants, listed
 
@@ -37,8 +38,9 @@ def device_problem(name: str, free: Path, held: Path | None, columns: tuple[str,
         notes.append("no held log: the three constants are known to the gain of the motors, 10 %")
     else:
         logs.append(read_device_log(held, columns, held=True))
-    forward, measured = device_fit(name, tuple(logs))
+    forward, measured = device_fit(name, *logs)
+    notes += [note for each in logs for note in each.notes]
     step = constants("devices", name)["encoder_step_m"].value
     if (least := max(least_friction_N(each, step) for each in logs)) > 0.0:
         notes.append(f"friction is no less than {least:.3g} N, which the tip resisted at rest")
-    return Problem(forward, measured, WINDOW_S, lambda _: [], tuple(notes))
+    return Problem(forward, measured, APART_S, lambda _: [], tuple(notes))

@@ -34,6 +34,7 @@ def write_draws(draws: Draws, target: Target, path: Path) -> None:
         columns[f"bias_{channel}"] = np.array([one.bias[at] for one in unpacked])
         columns[f"noise_scale_{channel}"] = np.array([one.scale[at] for one in unpacked])
         columns[f"noise_correlation_{channel}"] = np.array([one.correlation[at] for one in unpacked])
+        columns[f"noise_freedom_{channel}"] = np.array([one.freedom[at] for one in unpacked])
     write_columns(path, columns)
 
 

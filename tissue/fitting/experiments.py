@@ -7,9 +7,9 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.fitting.forward import Forward
-from tissue.fitting.noise import INFORMATION, innovations
+from tissue.fitting.noise import innovations, place_information
 from tissue.fitting.posterior import Posterior
-from tissue.fitting.target import BIAS_SHARE
+from tissue.fitting.target import BIAS_SHARE, OFFSET_S
 
 __all__ = ["Gain", "expected_information"]
 
@@ -68,7 +68,7 @@ def expected_information(
 
 
 def _information(posterior: Posterior, forward: Forward) -> Array:
-    """Fisher information of a log about z, its biases left free, shape (p, p).
+    """Fisher information of a log about z, its biases and its clock's offset left free, shape (p, p).
 
     A log at another rate than the measured one would have other noise: the candidate is taken at the measured rate.
     """
@@ -77,11 +77,13 @@ def _information(posterior: Posterior, forward: Forward) -> Array:
     every = max(round(rate_s / float(np.median(np.diff(forward.times_s)))), 1)
     places = [forward.channels.index(name) for name in target.log.channels]
     slopes = target.slopes(posterior.mean_z)
-    moved = forward.jacobian(target.x(posterior.mean_z))[::every][:, places] * slopes
+    x = target.x(posterior.mean_z)
+    moved = forward.jacobian(x)[::every][:, places] * slopes
+    by_offset = -OFFSET_S * np.gradient(forward.loads(x)[:, places], forward.times_s, axis=0)[::every, :, None]
     biases = np.broadcast_to(np.diag(BIAS_SHARE * target.log.sizes()), (len(moved), len(places), len(places)))
-    columns = innovations(np.concatenate([moved, biases], axis=2), noise.correlation)
-    columns = np.sqrt(INFORMATION) * columns / noise.scale[:, None]
+    columns = innovations(np.concatenate([moved, biases, by_offset], axis=2), noise.correlation)
+    columns *= (np.sqrt(place_information(noise.freedom)) / noise.scale)[:, None]
     rows = columns.reshape(-1, columns.shape[2])
     p = len(slopes)
-    whole = rows.T @ rows + np.diag([0.0] * p + [1.0] * len(places))
+    whole = rows.T @ rows + np.diag([0.0] * p + [1.0] * (len(places) + 1))
     return np.asarray(whole[:p, :p] - whole[:p, p:] @ np.linalg.solve(whole[p:, p:], whole[p:, :p]))

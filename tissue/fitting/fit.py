@@ -15,8 +15,8 @@ from tissue.fitting.identifiability import Identified, identified
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.needle_problem import needle_problem
 from tissue.fitting.nuts import Draws, draw_by_nuts, require_nuts
+from tissue.fitting.organ_constants import KEYS
 from tissue.fitting.organ_problem import organ_problem
-from tissue.fitting.organ_runs import KEYS
 from tissue.fitting.posterior import Posterior, maximum_posterior
 from tissue.fitting.problem import Problem
 from tissue.fitting.target import OFFSET_S
@@ -58,7 +58,7 @@ class ConstantFit:
     state
         ``determined``, ``narrowed``, or ``at its prior``.
     laplace
-        5, 50 and 95 % of the normal law about the maximum, where the three above are those of draws; else None.
+        5, 50 and 95 % of Laplace's approximation, where the three above are those of draws; else None.
     """
 
     name: str

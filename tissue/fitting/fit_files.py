@@ -15,7 +15,6 @@ from tissue.figures.fit import FittedConstant, draw_constants, draw_measured, dr
 from tissue.fitting.draws_file import draws_numbers, write_draws
 from tissue.fitting.fit import ConstantFit, SceneFit
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
-from tissue.fitting.noise import FREEDOM
 from tissue.system.html import html_page, html_picture
 from tissue.system.outputs import prepare_folder, write_columns
 
@@ -63,7 +62,9 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
     log, residuals = posterior.target.log, posterior.residuals
     draw_measured(log.times_s, log.values, posterior.simulated, log.channels, folder / "measured.png")
     correlations = np.stack([_autocorrelation(each) for each in (residuals, posterior.innovations)])
-    draw_residuals(posterior.innovations, correlations, FREEDOM, folder / "residuals.png")
+    draw_residuals(
+        posterior.innovations, correlations, float(np.median(posterior.nuisances.freedom)), folder / "residuals.png"
+    )
     draw_constants([_shown(each) for each in fit.constants], folder / "constants.png")
     columns = {"time_s": log.times_s}
     for at, name in enumerate(log.channels):
@@ -169,6 +170,7 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
         "bias": each.bias.tolist(),
         "noise_scale": each.scale.tolist(),
         "noise_correlation": each.correlation.tolist(),
+        "noise_freedom": each.freedom.tolist(),
         **({} if fit.draws is None else {"nuts": draws_numbers(fit.draws, fit.posterior.target)}),
         "notes": list(fit.sentences),
     }  # fmt: skip

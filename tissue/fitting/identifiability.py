@@ -44,7 +44,8 @@ class Combination:
     contraction
         Its standard deviation over that of the prior.
     of
-        Its value for all constants in their own units, shape (p,); exact where the weights and powers hold nearby.
+        Its value for all constants in their own units, shape (p,), of which those that are named count; exact where the
+        weights and powers hold nearby.
     """
 
     weights: dict[str, float]
@@ -103,7 +104,7 @@ def identified(posterior: Posterior) -> Identified:
     knows, also where the direction of z turns along the curve on which it stays the same.
     """
     p, target = len(posterior.names), posterior.target
-    contraction = np.asarray(np.sqrt(np.diag(posterior.covariance_z)), dtype=np.float64)
+    contraction = posterior.spreads
     _, moved = target.linearised(posterior.maximum)
     columns = target.whitened(moved, posterior.nuisances)
     of_z, nuisances = columns[:, :p], columns[:, p:]
@@ -123,7 +124,10 @@ def identified(posterior: Posterior) -> Identified:
 
 
 def _combination(posterior: Posterior, mean: Array, direction: Array, information: float) -> Combination:
-    """A mean of whitened loads, shape (m * channels,), whose slope by z is the information times a direction."""
+    """A mean of whitened loads, shape (m * channels,), whose slope by z is the information times a direction.
+
+    Constants that count for little are not named: what is not known of them widens the interval.
+    """
     target, noise, names = posterior.target, posterior.nuisances, posterior.names
     x = target.x(posterior.mean_z)
 
@@ -136,6 +140,8 @@ def _combination(posterior: Posterior, mean: Array, direction: Array, informatio
     terms = slopes * x
     scales = np.array([name.startswith(DENSITY) or name.endswith(EXPONENT) for name in names])
     named = np.abs(direction) >= LEAST_SHARE
+    direction = np.where(named, direction, 0.0)
+    variance = float(direction @ posterior.covariance_z @ direction)
     linear = named & ~scales
     total, size = float(terms[linear].sum()), float(np.abs(terms[linear]).sum())
     if not linear.any():
@@ -146,15 +152,16 @@ def _combination(posterior: Posterior, mean: Array, direction: Array, informatio
     sign = float(np.sign(total))
     powers = np.where(named & scales, terms / total, 0.0)
     weights = np.where(linear, slopes * median, 0.0)
-    unit = sign * (float(np.abs(weights).sum()) or size) / float(np.prod((x / median) ** powers))
+    ratio = np.divide(x, median, out=np.ones_like(x), where=powers != 0.0)
+    unit = sign * (float(np.abs(weights).sum()) or size) / float(np.prod(ratio**powers))
     constant = measure(x) - total
     value = total / unit
-    half = 1.6448536 * information / np.sqrt(1.0 + information) / abs(unit)
+    half = 1.6448536 * information * np.sqrt(variance) / abs(unit)
     order = np.argsort(-np.abs(direction)).tolist()
     divisor = float(np.abs(weights).sum()) * sign or 1.0
     return Combination(
         {names[at]: float(weights[at] / divisor) for at in order if linear[at]},
         {names[at]: float(powers[at]) for at in order if powers[at] != 0.0},
-        value, value - half, value + half, float(1.0 / np.sqrt(1.0 + information)),
-        lambda constants: (measure(constants) - constant) / unit,
+        value, value - half, value + half, float(np.sqrt(variance) / np.linalg.norm(direction)),
+        lambda constants: (measure(np.where(named, constants, x)) - constant) / unit,
     )  # fmt: skip

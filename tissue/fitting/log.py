@@ -12,6 +12,7 @@ from meshes.base.errors import InputError, counted
 from tissue.builders.registry import motion_of
 from tissue.fitting.columns import QUANTITIES, ColumnMap, parse_columns
 from tissue.fitting.log_files import LogColumns, read_columns
+from tissue.fitting.log_signals import pose_notes, without_saturation
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 
@@ -88,24 +89,14 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
         If a column is missing or holds what cannot be, times do not increase, or the log is too short.
     """
     maps, found = parse_columns(columns), read_columns(path)
-    notes = list(found.notes)
+    notes = []
     if "model_force_x_N" in found.names:
         for name in QUANTITIES:
             if name.startswith(("force_", "torque_")) and name not in maps and f"model_{name}" in found.names:
                 maps[name] = ColumnMap(QUANTITIES[name], f"model_{name}")
         notes.append("forces are those of the model (model_force), before low-pass and device")
-
-    def column(name: str) -> Array | None:
-        if name in maps:
-            place, factor, remark = maps[name].find(found.names)
-            notes.extend([remark] if remark else [])
-            return factor * found.numbers(place)
-        return QUANTITIES[name].factor * found.numbers(name) if name in found.names else None
-
-    taken = {name: values for name in QUANTITIES if (values := column(name)) is not None}
-    used = {each.find(found.names)[0] for each in maps.values()} | set(taken)
-    if left := [name for name in found.names if name not in used]:
-        notes.append(f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}")
+    taken, remarks = found.taken(maps, QUANTITIES)
+    notes += remarks
     return _checked(path, taken, found, notes)
 
 
@@ -141,6 +132,8 @@ def _checked(path: Path, taken: dict[str, Array], found: LogColumns, notes: list
                 f"measured must hold loads below {most:g} in {name}, got {greatest:.3g} in {path.name}: give its unit, "
                 f"--column {name}=COLUMN:mN for example"
             )
+    loads, remarks = without_saturation(loads, channels)
+    notes += remarks + pose_notes(times_s, tips_m, float(np.median(np.diff(load_times_s))))
     return MeasuredLog(path, times_s, tips_m, _turns(taken, path), load_times_s, loads, channels, tuple(notes))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, is_file
+from tissue.fitting.columns import ColumnMap, Quantity
 from tissue.fitting.log_text import read_text
 
 __all__ = ["LogColumns", "read_columns"]
@@ -38,6 +39,32 @@ class LogColumns:
     names: tuple[str, ...]
     numbers: Callable[[str], Array]
     notes: tuple[str, ...] = ()
+
+    def taken(
+        self, maps: Mapping[str, ColumnMap], quantities: Mapping[str, Quantity]
+    ) -> tuple[dict[str, Array], list[str]]:
+        """Quantities that are there, in SI, by name, and what was found with them, in sentences.
+
+        Raises
+        ------
+        InputError
+            If a column that is mapped is not there, or holds no numbers.
+        """
+        values: dict[str, Array] = {}
+        used, notes = set[str](), list(self.notes)
+        for name, quantity in quantities.items():
+            if name in maps:
+                column, factor, remark = maps[name].find(self.names)
+                notes += [remark] if remark else []
+            elif name in self.names:
+                column, factor = name, quantity.factor
+            else:
+                continue
+            values[name] = factor * self.numbers(column)
+            used.add(column)
+        if left := [name for name in self.names if name not in used]:
+            notes.append(f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}")
+        return values, notes
 
 
 def read_columns(path: Path) -> LogColumns:
@@ -96,7 +123,7 @@ def _mat(path: Path) -> LogColumns:
     from scipy.io import loadmat
 
     if path.read_bytes()[:10] == b"MATLAB 7.3":
-        return _h5(path)
+        return _structs(path)
     found = {name: value for name, value in loadmat(path, squeeze_me=True).items() if not name.startswith("__")}
     columns: dict[str, Any] = {}
     for name, value in found.items():
@@ -115,6 +142,15 @@ def _h5(path: Path) -> LogColumns:
         found: dict[str, Any] = {}
         file.visititems(lambda name, each: found.update({name: each[()]}) if isinstance(each, h5py.Dataset) else None)
         return _held(found)
+
+
+def _structs(path: Path) -> LogColumns:
+    """Columns of a MATLAB 7.3 file, those of structs by the names of their fields where no two are the same."""
+    found = _h5(path)
+    whole = [name for name in found.names if not name.startswith("#")]
+    fields = [name.rpartition("/")[2] for name in whole]
+    places = {field if fields.count(field) == 1 else name: name for field, name in zip(fields, whole, strict=True)}
+    return LogColumns(tuple(places), lambda name: found.numbers(places[name]), found.notes)
 
 
 def _drilling(group: Any) -> LogColumns:

@@ -28,15 +28,15 @@ class TextTable:
         Of the header line; numbers from 1 where there is none.
     rows
         Cells, one list a line.
-    first_line
-        Number of the line of the first row, from 1.
+    lines
+        Number of the line of each row, from 1.
     notes
         What was found around the table.
     """
 
     names: tuple[str, ...]
     rows: list[list[str]]
-    first_line: int
+    lines: list[int]
     notes: tuple[str, ...]
 
     def numbers(self, name: str) -> list[float]:
@@ -50,7 +50,7 @@ class TextTable:
         if self.names.count(name) != 1:
             raise InputError(f"column must name one column of the log, got {name}, which is there twice: rename one")
         place, numbers = self.names.index(name), []
-        for line, row in enumerate(self.rows, self.first_line):
+        for line, row in zip(self.lines, self.rows, strict=True):
             cell = row[place].strip()
             try:
                 numbers.append(float(cell.replace(",", ".")) if cell else float("nan"))
@@ -78,16 +78,19 @@ def read_text(path: Path) -> TextTable:
     names, above, has_units = _header(cells[:start], width)
     notes = [f"{counted(above, 'line')} before the header line {above + 1}"] if above and names else []
     notes += [f"the units of line {start}"] if has_units else []
-    rows = cells[start:]
-    if len(rows[-1]) < width:
-        rows.pop()
+    places = [at for at in range(start, len(lines)) if lines[at].strip()]
+    if blank := len(lines) - start - len(places):
+        notes.append(f"{counted(blank, 'blank line')} between the rows")
+    if len(cells[places[-1]]) < width:
+        places.pop()
         notes.append("the last line, which is cut short, is left out")
-    for line, row in enumerate(rows, start + 1):
+    numbers, rows = [at + 1 for at in places], [cells[at] for at in places]
+    for line, row in zip(numbers, rows, strict=True):
         if len(row) != width:
             raise InputError(
                 f"log must hold {width} values a line, got {len(row)} in line {line} of {path.name}: {_AGAIN}"
             )
-    return TextTable(names or tuple(map(str, range(1, width + 1))), rows, start + 1, tuple(notes))
+    return TextTable(names or tuple(map(str, range(1, width + 1))), rows, numbers, tuple(notes))
 
 
 def _decoded(path: Path) -> str:

@@ -16,14 +16,15 @@ imposed: `unusable` names the samples from 5 mm before it on, and those around t
 would smear.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.fitting.needle_events import Event, found_events, near_events
+from tissue.fitting.needle_events import Event, near_events, speed_corners
 from tissue.fitting.needle_track import CREPT_IN, CREPT_OUT, SLID_IN, SLID_OUT, NeedleTrack, followed, slid_in
 from tissue.fitting.parameter import Parameter
 from tissue.models.needle.parameters import GREATEST_N, GREATEST_N_M, Membrane, NeedleTissue, ShaftFriction
@@ -105,28 +106,35 @@ class NeedleForward:
         """All constants, the free ones among them."""
         return needle_names(vessel_wall=self.vessel_wall_depth_m is not None)
 
-    def events_of(self, force_N: Array) -> tuple[Event, ...]:
-        """Jumps of a measured force along the axis at `times_s` [N], shape (n,), that the law lets expect."""
-        expected = self.expected_events()
-        law = replace(self, parameters=(), events=expected).loads(np.empty(0))[:, 0]
-        return found_events(self.times_s, self.travel_m, force_N, expected, law)
+    @property
+    def depths_m(self) -> tuple[float, ...]:
+        """Of the membranes, from the surface downwards."""
+        return (0.0,) if self.vessel_wall_depth_m is None else (0.0, self.vessel_wall_depth_m)
 
     def expected_events(self) -> tuple[Event, ...]:
-        """Jumps of the law itself along the travel, with the known constants."""
-        return followed(self._tissue(self._values([])), self.travel_m, self._speed_m_s, None).events
+        """Jumps of the law itself along the travel, with the known constants, after those that are imposed."""
+        first = max((event.sample + 1 for event in self.events), default=0)
+        tissue = self._tissue(self._values([]))
+        return followed(tissue, self.travel_m, self._speed_m_s, self.events, free_from=first).events
+
+    def inserted_m(self, x: Array) -> Array:
+        """Length of needle in the organ for constants x, shape (n,)."""
+        return self._followed(tuple(np.asarray(x, dtype=float).tolist()))[1].inserted_m
 
     def unusable(self, wanted_s: Array, within_s: float) -> NDArray[np.bool_]:
         """Samples to leave out of a fit, shape of `wanted_s`.
 
-        Those within a time of a jump [s] (three times what is unknown of the clocks), and those in which a needle that
-        is drawn out may leave a membrane's hole: from `LEAVING_M` before the law does so with the known constants.
+        Those within a time [s] of where a jump may be or of a corner of the speed, and those in which a needle that is
+        drawn out may leave a membrane's hole: from `LEAVING_M` before the law does so with the known constants.
         """
         track = followed(self._tissue(self._values([])), self.travel_m, self._speed_m_s, self.events)
-        depths = [0.0] if self.vessel_wall_depth_m is None else [0.0, self.vessel_wall_depth_m]
-        over = np.min([np.where(track.inserted_m >= d, track.inserted_m - d, np.inf) for d in depths], axis=0)
+        over = np.min([np.where(track.inserted_m >= d, track.inserted_m - d, np.inf) for d in self.depths_m], axis=0)
         outwards = np.minimum.accumulate(np.where(self._speed_m_s < 0.0, over, np.inf)) < LEAVING_M
         at = np.clip(np.searchsorted(self.times_s, wanted_s), 0, len(self.times_s) - 1)
-        return near_events(self.times_s, self.travel_m, wanted_s, self.events, within_s) | outwards[at]
+        out: NDArray[np.bool_] = near_events(self.times_s, wanted_s, self.events, within_s) | outwards[at]
+        for corner in self.times_s[speed_corners(self._speed_m_s)]:
+            out |= np.abs(wanted_s - corner) <= within_s
+        return out
 
     def loads(self, x: Array) -> Array:
         """See `Forward`."""
@@ -152,7 +160,7 @@ class NeedleForward:
     def _free(self) -> list[int]:
         return [self.names.index(each.name) for each in self.parameters]
 
-    @property
+    @cached_property
     def _speed_m_s(self) -> Array:
         return np.gradient(self.travel_m, self.times_s)
 
@@ -165,10 +173,11 @@ class NeedleForward:
         # A search may ask for what no needle meets: it gets the most that the law takes.
         v = np.minimum(values, 0.5 * GREATEST_N).tolist()
         v[A2] = min(float(values[A2]), GREATEST_N_M)
-        depths = (0.0,) if self.vessel_wall_depth_m is None else (0.0, self.vessel_wall_depth_m)
         membranes = tuple(
             Membrane(name=name, depth_m=depth, puncture_N=v[puncture], hold_N=v[hold])
-            for name, depth, puncture, hold in zip(("capsule", "vessel wall"), depths, PUNCTURES, HOLDS, strict=False)
+            for name, depth, puncture, hold in zip(
+                ("capsule", "vessel wall"), self.depths_m, PUNCTURES, HOLDS, strict=False
+            )
         )
         friction = ShaftFriction(
             sliding_in_N_m=v[IN], sliding_out_N_m=v[OUT], viscous_in_N_s_m2=v[DRAG_IN], viscous_out_N_s_m2=v[DRAG_OUT],
@@ -226,7 +235,8 @@ class NeedleForward:
     def _anchor(self, v: Array, track: NeedleTrack, by_length: Array, event: Event) -> tuple[Array, float, Array]:
         """Share of each sample in a gap, the limit that held at an event less the law's pull there [N], its slopes."""
         k, z = event.sample, self.travel_m
-        at, length = 0.5 * (z[k] + z[k + 1]), track.inserted_m[k]
+        at = float(np.interp(event.at_s(self.times_s), self.times_s, z))
+        length = track.inserted_m[k]
         u = at - length
         before = np.arange(len(z)) <= k
         begun = np.flatnonzero((np.abs(z - at) > ANCHOR_M) & before)
@@ -240,6 +250,7 @@ class NeedleForward:
         elif event.kind == "slip_in":
             by[CUTTING] = track.cuts[k]
         sign, name = (-1.0, STATIC_OUT) if event.kind == "slip_out" else (1.0, STATIC_IN)
+        name = max(name, name - 4, key=lambda each: float(v[each]))
         by[name] = length
         limit = sign * float(by @ v)
         gap = limit - float((v[A1] + v[A2] * abs(u)) * u)

@@ -14,10 +14,11 @@ from tissue.fitting.forward import Forward
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.needle import CHANNEL, NeedleForward, needle_names
+from tissue.fitting.needle_events import median_jumps
+from tissue.fitting.needle_search import with_jumps
 from tissue.fitting.parameter import Parameter, chosen
-from tissue.fitting.posterior import Posterior, maximum_posterior
+from tissue.fitting.posterior import Posterior
 from tissue.fitting.problem import Problem
-from tissue.fitting.target import OFFSET_S
 from tissue.materials.prior import Prior
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.organ import LayersAnatomy
@@ -30,11 +31,11 @@ STEP_S = 4e-3
 """Time between two poses of the law [s]: 0.1 mm at 25 mm/s, a tenth of the shortest travel over which loads change."""
 LEAST_COSINE = 0.17
 """As `tissue.models.needle.model.NeedleModel` has it: more than 10 degrees to the surface."""
-CLOCKS, KNOWN_S = 3.0, 0.005
-"""Standard deviations of the clocks' offset about a jump that are left out at first, and the time after it is known."""
 FEEDS_M_S, DEPTHS_M = (2e-3, 10e-3, 50e-3), (0.02, 0.06)
 """Feeds and depths of what could be measured next: those of hands and machines (Okamura 2004 pushed at 3 mm/s)."""
 AIR_M, REST_S = 5e-3, 2.0
+FALL, CLEAR = 0.2, 6.0
+"""Share of the force that a puncture takes off (a quarter by the cited constants), and that over the noise."""
 
 
 def needle_problem(
@@ -42,7 +43,7 @@ def needle_problem(
 ) -> Problem:
     """A needle pushed into an organ and drawn out; see `tissue.fitting.fit.fit_scene`.
 
-    The jumps are found in the log with the clocks as they are, and once more after a first fit of their offset.
+    The jumps are found in the log, see `tissue.fitting.needle_search`.
     """
     del cores
     assert isinstance(scene.anatomy, LayersAnatomy)
@@ -55,10 +56,8 @@ def needle_problem(
     measured = block_averages(log.load_times_s, along[:, None], (CHANNEL,), ticks)
     plain = _forward(scene, times_s, travel_m, free)
     progress("finding punctures", 0.0)
-    first, usable = _with_events(plain, measured, 0.0, CLOCKS * OFFSET_S)
-    progress("fitting", 0.4)
-    offset_s = maximum_posterior(first, usable).nuisances.offset_s
-    forward, usable = _with_events(plain, measured, offset_s, KNOWN_S)
+    _refuse_early_puncture(plain, measured)
+    forward, usable = with_jumps(plain, measured)
     seen = [each.kind for each in forward.events if each.seen]
     notes += (f"jumps of the force: {', '.join(seen).replace('_', ' ') or 'none'}",)
     if unused := [name for name in log.channels if name.startswith("torque_")]:
@@ -123,18 +122,21 @@ def _along(log: MeasuredLog, axes: Array) -> Array:
     return np.asarray(sum(force * axis for force, axis in found) / share)
 
 
-def _with_events(
-    plain: NeedleForward, measured: MeasuredLoads, offset_s: float, within_s: float
-) -> tuple[NeedleForward, MeasuredLoads]:
-    """The law with the log's jumps, and the log without the samples that they would smear."""
-    values = measured.values[:, 0]
-    known = np.isfinite(values)
-    force = np.interp(plain.times_s + offset_s, measured.times_s[known], values[known])
-    forward = replace(plain, events=plain.events_of(force))
-    block_s = float(np.median(np.diff(measured.times_s)))
-    after = measured.times_s - offset_s > plain.times_s[-1]
-    out = forward.unusable(measured.times_s - offset_s, within_s + block_s) | after
-    return forward, replace(measured, values=np.where(out[:, None], np.nan, measured.values))
+def _refuse_early_puncture(plain: NeedleForward, measured: MeasuredLoads) -> None:
+    """Refuse a log whose force falls like a puncture where the capsule's cited force is not reached at all."""
+    if any(each.kind == "puncture" for each in plain.expected_events()):
+        return
+    known = np.isfinite(measured.values[:, 0])
+    force = np.interp(plain.times_s, measured.times_s[known], measured.values[known, 0])
+    jumps = np.where(plain.travel_m > 0.0, median_jumps(plain.times_s, force), 0.0)
+    at, noise = int(np.argmin(jumps)), 1.4826 * float(np.median(np.abs(jumps)))
+    level, left = (float(np.median(each)) for each in (force[max(at - 4, 0) : at + 1], force[at + 1 : at + 6]))
+    if -jumps[at] > max(FALL * level, CLEAR * noise):
+        raise InputError(
+            f"measured falls from {level:.3g} to {left:.3g} N at {1e3 * plain.travel_m[at]:.3g} mm, "
+            "like a puncture, where the range of needle.liver.capsule_puncture_N lets expect none: give a file of "
+            "constants (materials) whose range of it holds this force"
+        )
 
 
 def _candidates(forward: NeedleForward, posterior: Posterior) -> list[tuple[str, Forward]]:

@@ -3,9 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Ints
 from tissue.fitting.needle_events import Event
+from tissue.fitting.needle_runs import run_on
 from tissue.models.needle.insertion import Insertion
 from tissue.models.needle.parameters import NeedleTissue
 
@@ -15,6 +17,7 @@ WHOLE_N = 9e3
 """Puncture force of a membrane that does not break before its event: more than any needle meets."""
 STICKS = 0.99
 """Static friction of a shaft that does not break away before its event, over the most that the law allows."""
+NONE = np.empty(0)
 KEPT, STOPPED, AT_CUT, SLID_IN, CREPT_IN, SLID_OUT, CREPT_OUT = range(7)
 
 
@@ -50,7 +53,14 @@ class NeedleTrack:
     events: tuple[Event, ...]
 
 
-def followed(tissue: NeedleTissue, travel_m: Array, speed_m_s: Array, events: tuple[Event, ...] | None) -> NeedleTrack:
+def followed(
+    tissue: NeedleTissue,
+    travel_m: Array,
+    speed_m_s: Array,
+    events: tuple[Event, ...],
+    *,
+    free_from: int | None = None,
+) -> NeedleTrack:
     """Run `Insertion` along a travel.
 
     Parameters
@@ -60,41 +70,60 @@ def followed(tissue: NeedleTissue, travel_m: Array, speed_m_s: Array, events: tu
     travel_m, speed_m_s
         Of the tip along the axis, inwards, shape (n,); it starts outside.
     events
-        When membranes break and the shaft breaks away: there and not where the law has them. None leaves it to the law.
+        When membranes break and the shaft breaks away: there and not where the law has them.
+    free_from
+        Sample from which the law itself decides; None for nowhere.
     """
     insertion = Insertion(tissue, travel_m=float(travel_m[0]))
-    modes = _modes(tissue, speed_m_s, events) if events is not None else {}
+    modes = _modes(tissue, speed_m_s, events)
+    if free_from is not None:
+        modes = {at: each for at, each in modes.items() if at < free_from} | {max(free_from, 1): tissue}
     depths = [membrane.depth_m for membrane in tissue.membranes]
-    rows, happened = [(0.0, 0.0, 0, 0, 0, KEPT, -1)], []
-    source = cut_source = -1
-    for sample in range(1, len(travel_m)):
+    lengths, happened = np.zeros(len(travel_m)), []
+    sliding, cuts, holes, how, source = (np.zeros(len(travel_m), dtype=np.int64) for _ in range(5))
+    source[0] = from_ = cut_from = -1
+    ends = _ends(travel_m, np.abs(speed_m_s) >= 0.5 * tissue.friction.stick_band_m_s, modes)
+    sample = 1
+    while sample < len(travel_m):
         if sample in modes:
             insertion.tissue = modes[sample]
         before, cut, broken, was = insertion.inserted_m, insertion.cut_m, insertion.punctured, insertion.sliding
         insertion.advance(float(travel_m[sample]), float(speed_m_s[sample]))
-        length, sliding = insertion.inserted_m, insertion.sliding
+        length, now = insertion.inserted_m, insertion.sliding
         if length == before:
-            how = KEPT
+            came = KEPT
         elif length == 0.0 or length in depths:
-            how, source = STOPPED, -1
+            came, from_ = STOPPED, -1
         elif length == cut and length > before:
-            how, source = AT_CUT, cut_source
+            came, from_ = AT_CUT, cut_from
         else:
-            how = (SLID_IN if sliding > 0 else CREPT_IN) if length > before else SLID_OUT if sliding < 0 else CREPT_OUT
-            source = sample
-        if insertion.cut_m > cut:
-            cut_source = source
+            came = (SLID_IN if now > 0 else CREPT_IN) if length > before else SLID_OUT if now < 0 else CREPT_OUT
+            from_ = sample
         if insertion.punctured > broken:
             happened.append(Event("puncture", sample - 1))
-        elif sliding != 0 and was == 0 and before > 0.0:
-            happened.append(Event("slip_in" if sliding > 0 else "slip_out", sample - 1))
-        holes = sum(depth <= length for depth in depths[: insertion.punctured])
-        rows.append((length, insertion.deflection_m, sliding, int(length == insertion.cut_m), holes, how, source))
-    lengths, deflections, *whole = zip(*rows, strict=True)
-    sliding_, cuts_, holes_, how_, source_ = (np.array(each) for each in whole)
-    return NeedleTrack(
-        np.array(lengths), np.array(deflections), sliding_, cuts_, holes_, how_, source_, tuple(happened)
-    )
+        elif now != 0 and was == 0 and before > 0.0:
+            happened.append(Event("slip_in" if now > 0 else "slip_out", sample - 1))
+        goes_on = (came == KEPT and now == 0) or came in (SLID_IN, SLID_OUT)
+        run = run_on(insertion, travel_m[sample + 1 : ends[sample + 1]]) if goes_on else NONE
+        here = slice(sample, sample + 1 + len(run))
+        lengths[sample], lengths[sample + 1 : here.stop] = length, run
+        sliding[here], how[here] = now, came
+        cuts[here] = insertion.inserted_m == insertion.cut_m
+        holes[here] = sum(depth <= length for depth in depths[: insertion.punctured])
+        source[here] = np.arange(sample, here.stop) if came in (SLID_IN, SLID_OUT) else from_
+        from_, sample = int(source[here.stop - 1]), here.stop
+        if insertion.cut_m > cut:
+            cut_from = from_
+    deflections = np.where(lengths > 0.0, travel_m - lengths, np.maximum(travel_m, 0.0))
+    return NeedleTrack(lengths, deflections, sliding, cuts, holes, how, source, tuple(happened))
+
+
+def _ends(travel_m: Array, quick: NDArray[np.bool_], modes: dict[int, NeedleTissue]) -> Ints:
+    """The next sample at which a motion alike ends, shape (n + 1,): it turns, rests or the tissue changes."""
+    alike = np.sign(np.diff(travel_m, prepend=travel_m[0])) + 4.0 * quick
+    breaks = np.union1d(np.flatnonzero(np.diff(alike) != 0.0) + 1, np.array(list(modes), dtype=np.int64))
+    breaks = np.append(breaks, len(travel_m))
+    return np.asarray(breaks[np.minimum(np.searchsorted(breaks, np.arange(len(travel_m) + 1)), len(breaks) - 1)])
 
 
 def slid_in(track: NeedleTrack, by_length: Array) -> tuple[Array, Array]:
@@ -131,9 +160,11 @@ def _modes(tissue: NeedleTissue, speed_m_s: Array, events: tuple[Event, ...]) ->
         begun = rests[rests <= event.sample]
         sticks = {f"static_{side}_N_m": STICKS * tissue.linear_N_m}
         slides = {f"static_{side}_N_m": getattr(tissue.friction, f"sliding_{side}_N_m")}
+        coming = rests[rests > event.sample]
         modes |= {
             max(int(begun[-1]) if len(begun) else 1, 1): replace(whole, friction=replace(tissue.friction, **sticks)),
             event.sample + 1: replace(whole, friction=replace(tissue.friction, **slides)),
-            event.sample + 2: whole,
         }
+        if len(coming):
+            modes.setdefault(max(int(coming[0]), event.sample + 2), whole)
     return modes

@@ -3,18 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import digamma, gammaln, polygamma
 
 from meshes.base.arrays import Array
 
-__all__ = ["FREEDOM", "INFORMATION", "NoiseTerms", "innovations", "noise_terms"]
-
-FREEDOM = 4.0
-"""Degrees of freedom of the innovations: outliers lose their pull, near the normal law in the middle (Lange, Little and
-Taylor, 1989, who find 4 to do well where it cannot be estimated)."""
-INFORMATION = (FREEDOM + 1.0) / (FREEDOM + 3.0)
-"""Fisher information of the place of such an innovation of scale 1 (Lange, Little and Taylor 1989)."""
-CONSTANT = float(gammaln(0.5 * (FREEDOM + 1.0)) - gammaln(0.5 * FREEDOM) - 0.5 * np.log(FREEDOM * np.pi))
+__all__ = ["NoiseTerms", "freedom_information", "innovations", "noise_terms", "place_information"]
 
 
 @dataclass(frozen=True)
@@ -27,8 +20,8 @@ class NoiseTerms:
         Summed over samples and channels.
     by_residuals
         Its derivative by each residual, shape (m, channels); 0 where there is none.
-    by_log_scale, by_correlation
-        Its derivatives by ln scale and by the correlation of each channel, shape (channels,).
+    by_log_scale, by_correlation, by_freedom
+        Its derivatives by ln scale, the correlation and the degrees of freedom of each channel, shape (channels,).
     weights
         Of each squared innovation in the sum of squares that has the same gradient, shape (m, channels) [1/unit²].
     """
@@ -37,6 +30,7 @@ class NoiseTerms:
     by_residuals: Array
     by_log_scale: Array
     by_correlation: Array
+    by_freedom: Array
     weights: Array
 
 
@@ -51,7 +45,7 @@ def innovations(residuals: Array, correlation: Array) -> Array:
     return np.where(starts, np.sqrt(1.0 - phi**2) * residuals, residuals - phi * previous)
 
 
-def noise_terms(residuals: Array, scale: Array, correlation: Array) -> NoiseTerms:
+def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Array) -> NoiseTerms:
     """Log density of residuals and its gradient.
 
     Parameters
@@ -62,23 +56,42 @@ def noise_terms(residuals: Array, scale: Array, correlation: Array) -> NoiseTerm
         Of the innovations, shape (channels,): a standard deviation of sqrt(2) times it at four degrees of freedom.
     correlation
         Of neighbouring residuals, in (-1, 1), shape (channels,).
+    freedom
+        Degrees of freedom of the innovations, shape (channels,): outliers lose their pull the more the fewer they are.
     """
     previous, starts = _previous(residuals)
     here = np.isfinite(residuals)
     e = np.where(here, innovations(residuals, correlation), 0.0)
-    spread = FREEDOM * scale**2 + e**2
-    weights = np.where(here, (FREEDOM + 1.0) / spread, 0.0)
+    spread = freedom * scale**2 + e**2
+    weights = np.where(here, (freedom + 1.0) / spread, 0.0)
     pull = weights * e
     stationary = 1.0 - correlation**2
     count, begun = here.sum(axis=0), starts.sum(axis=0)
-    density = count * (CONSTANT - np.log(scale)) + 0.5 * begun * np.log(stationary)
-    density -= 0.5 * (FREEDOM + 1.0) * np.log1p(e**2 / (FREEDOM * scale**2)).sum(axis=0)
+    constant = gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi)
+    density = count * (constant - np.log(scale)) + 0.5 * begun * np.log(stationary)
+    tails = np.log1p(e**2 / (freedom * scale**2)).sum(axis=0)
+    density -= 0.5 * (freedom + 1.0) * tails
+    pulled = np.sum(pull * e, axis=0)
+    by_freedom = digamma(0.5 * (freedom + 1.0)) - digamma(0.5 * freedom) - 1.0 / freedom
+    by_freedom = 0.5 * (count * by_freedom - tails + pulled / freedom)
     by_residuals = -pull * np.where(starts, np.sqrt(stationary), 1.0)
     follows = here[1:] & np.logical_not(starts[1:])
     by_residuals[:-1] += np.where(follows, correlation * pull[1:], 0.0)
     moved = np.where(starts, -correlation / np.sqrt(stationary) * residuals, -previous)
     by_correlation = -np.sum(pull * np.where(here, moved, 0.0), axis=0) - begun * correlation / stationary
-    return NoiseTerms(float(density.sum()), by_residuals, np.sum(pull * e, axis=0) - count, by_correlation, weights)
+    return NoiseTerms(float(density.sum()), by_residuals, pulled - count, by_correlation, by_freedom, weights)
+
+
+def place_information(freedom: Array) -> Array:
+    """Fisher information of the place of an innovation of scale 1 (Lange, Little and Taylor 1989), shape of freedom."""
+    return (freedom + 1.0) / (freedom + 3.0)
+
+
+def freedom_information(freedom: Array) -> tuple[Array, Array]:
+    """Fisher information of the degrees of freedom, and between them and ln scale (the same), shapes of freedom."""
+    curved = 0.25 * (polygamma(1, 0.5 * freedom) - polygamma(1, 0.5 * (freedom + 1.0)))
+    of_freedom = curved - 0.5 * (freedom + 5.0) / (freedom * (freedom + 1.0) * (freedom + 3.0))
+    return np.asarray(of_freedom), -2.0 / ((freedom + 1.0) * (freedom + 3.0))
 
 
 def _previous(residuals: Array) -> tuple[Array, Array]:

@@ -1,7 +1,8 @@
-"""A log of a probe on an organ as a fit takes it: loads by runs, linear in constants near the most probable ones."""
+"""A log of a probe on an organ as a fit takes it: loads by runs about the most probable constants."""
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,34 +10,54 @@ from meshes.base.arrays import Array
 from meshes.base.errors import names_of_caller
 from meshes.base.progress import Progress
 from tissue.fitting.averaged import block_averages, block_ticks
-from tissue.fitting.cutting import CHANNELS
-from tissue.fitting.forward import LinearForward
 from tissue.fitting.log import MeasuredLog
-from tissue.fitting.organ_runs import KEYS, Poses, organ_loads
-from tissue.fitting.parameter import Parameter, chosen
-from tissue.fitting.posterior import maximum_posterior
+from tissue.fitting.measured import MeasuredLoads
+from tissue.fitting.organ_constants import KEYS, organ_parameters
+from tissue.fitting.organ_forward import OrganForward
+from tissue.fitting.organ_runs import OrganRuns, Poses
+from tissue.fitting.parameter import Parameter
+from tissue.fitting.posterior import Posterior, maximum_posterior
 from tissue.fitting.problem import Problem
-from tissue.materials.prior import Prior
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
-from tissue.scene.used_constants import used_constants
 
-__all__ = ["organ_problem"]
+__all__ = ["Settled", "organ_problem", "settled"]
 
-STEP = 0.3
-"""Step of a constant over which loads are differenced, in standard deviations of its prior: nodes come into contact and
-leave it, so that smaller ones show single nodes."""
+EVERY = 2
+"""Ticks between two loads that are kept of a run: a log is averaged over more."""
+STEPS = (0.1, 1.0)
+"""Least and greatest step to either side over which loads are differenced, in standard deviations of a prior: as wide
+as what is known of the constant, but nodes come into contact and leave it, so that smaller ones show single nodes."""
+FIRST_STEP = 0.5
+"""That to one side before anything is known."""
 SETTLED = 0.3
 """Distance of the most probable constants from those of the runs, in their standard deviations, at which they agree."""
-ROUNDS = 4
+ROUNDS, TRIES = 3, 6
+"""How often slopes are found, and how often a run follows what was found with them."""
+LEARNT = 0.1
+"""Step of the constants, in standard deviations of their priors, from which slopes are corrected by it."""
 UNSETTLED = "runs and result do not agree yet: the intervals are not to be trusted, free fewer constants"
 FARTHEST = 3.0
 """Standard deviations of a prior beyond which no run is made."""
-FRICTION = (0.25, 2.5)
-"""5 and 95 % of friction between tool and organ, over the scene's: wet tissue on metal 0.1 to 0.6 (from memory of the
-literature)."""
-MODULUS = (1.0 / 3.0, 3.0)
-"""Likewise of a modulus that the scene states and `free` names: as liver scatters in tissue/materials/soft.toml."""
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """Loads about the most probable constants.
+
+    Attributes
+    ----------
+    forward
+        The loads.
+    posterior
+        The constants given the log.
+    away
+        Their distance from those of the last run, in standard deviations.
+    """
+
+    forward: OrganForward
+    posterior: Posterior
+    away: float
 
 
 def organ_problem(
@@ -44,69 +65,104 @@ def organ_problem(
 ) -> Problem:
     """A probe that presses an organ; see `tissue.fitting.fit.fit_scene`.
 
-    The organ is run along the log's poses, once with the constants as they are and once with each of them changed.
-    Loads are linear in a modulus and nearly so in the others: the runs are made again about what was found until that
-    agrees.
+    The organ is run along the log's poses with the constants as they are and with each of them changed, then about what
+    was found, until runs and result agree.
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
-    parameters = tuple(chosen(free, _possible(scene, named=bool(free))))
+    parameters, moduli = organ_parameters(scene, free)
     ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
-    z, workers = np.zeros(len(parameters)), cores or os.cpu_count() or 1
-    with names_of_caller({"motion must": "measured must", "the motion": "the log"}):
-        for number in range(ROUNDS):
-            progress(f"round {number + 1} of runs of the organ", 0.2 * number)
-            forward = _linear(scene, poses, parameters, z, workers, progress)
+    with (
+        names_of_caller({"motion must": "measured must", "the motion": "the log"}),
+        OrganRuns(scene, poses, log.channels, every=EVERY, cores=cores or os.cpu_count() or 1) as runs,
+    ):
+        found = settled(parameters, moduli, runs, measured, progress)
+    return Problem(found.forward, measured, ticks * TICK_S, lambda _: [], _notes(found, runs.count))
+
+
+def settled(
+    parameters: tuple[Parameter, ...],
+    moduli: tuple[int, ...],
+    runs: OrganRuns,
+    measured: MeasuredLoads,
+    progress: Progress,
+) -> Settled:
+    """Loads by runs about the constants that a log makes most probable.
+
+    Slopes are differences between runs about one point; runs at what was found with them follow, and correct the
+    slopes, until the two agree; then slopes are found there, over steps as wide as what is known.
+    """
+    at = np.array([float(each.prior.x(0.0)) for each in parameters])
+    spread, away = None, np.inf
+    (base,) = runs([_named(parameters, at)])
+    times_s = runs.poses.times_s[0] + EVERY * TICK_S * np.arange(len(base), dtype=np.float64)
+    nothing = np.zeros((*base.shape, len(parameters)))
+    forward = OrganForward(parameters, measured.channels, times_s, moduli, at, base, nothing, nothing)
+    for number in range(ROUNDS):
+        progress(f"round {number + 1} of runs of the organ", 0.25 * number)
+        forward = _sloped(forward, runs, spread)
+        for tried in range(TRIES + 1):
             posterior = maximum_posterior(forward, measured)
-            away = np.abs(posterior.mean_z - z) / np.sqrt(np.diag(posterior.covariance_z))
-            z = np.clip(posterior.mean_z, -FARTHEST, FARTHEST)
-            if float(away.max()) < SETTLED:
+            spread = np.sqrt(np.diag(posterior.covariance_z))
+            at, away = _next(forward, posterior.mean_z, spread)
+            if away < SETTLED or tried == TRIES:
                 break
-    return Problem(forward, measured, ticks * TICK_S, lambda _: [], _notes(parameters, number + 1, away))
+            progress(f"run {runs.count + 1} of the organ", 0.25 * (number + (tried + 1) / TRIES))
+            forward = forward.moved(at, runs([_named(parameters, at)])[0], learnt=LEARNT)
+        if number and away < SETTLED:
+            break
+    return Settled(forward, posterior, away)
 
 
-def _notes(parameters: Sequence[Parameter], rounds: int, away: Array) -> tuple[str, ...]:
-    count = rounds * (1 + len(parameters))
-    keys = ", ".join(each.name for each in parameters if each.name.startswith(KEYS))
-    return (
-        f"{count} runs of the organ in {rounds} rounds, the last {away.max():.2g} standard deviations from its result",
-        "what to measure next is not computed for an organ, whose every candidate would be several runs",
-        *([UNSETTLED] if float(away.max()) >= SETTLED else []),
-        *([f"not a material's and not in fitted.toml, to be set in the scene: {keys}"] if keys else []),
+def _next(forward: OrganForward, z: Array, spread: Array) -> tuple[Array, float]:
+    """Constants of the next run, and how far they lie from those of the last one, in standard deviations."""
+    priors = [each.prior for each in forward.parameters]
+    _, same = forward.reduced(np.array([float(prior.x(each)) for prior, each in zip(priors, z, strict=True)]))
+    wanted, last = (
+        np.array([float(prior.z(x)) for prior, x in zip(priors, of, strict=True)]) for of in (same, forward.at)
     )
+    near = np.clip(wanted, -FARTHEST, FARTHEST)
+    at = np.array([float(prior.x(each)) for prior, each in zip(priors, near, strict=True)])
+    return at, float(np.max(np.abs(wanted - last) / spread))
 
 
-def _possible(scene: Scene, *, named: bool) -> list[Parameter]:
-    """What can be free: constants of the organ that it does not state, friction, and stated moduli where asked for."""
-    used = [each for each in used_constants(scene, ()) if each.full.startswith("soft.")]
-    found = [
-        Parameter(each.full, Prior.of(each.cited, each.full))
-        for each in used
-        if each.stated is None and each.cited.low < each.cited.high
-    ]
-    organ = scene.organ
-    stated = {"organ.friction": (organ.friction, FRICTION)}
-    if named:
-        stated |= {"organ.young_kPa": (organ.young_kPa or 0.0, MODULUS)}
-        stated |= {"organ.young_end_kPa": (organ.young_end_kPa or 0.0, MODULUS)}
-        stated |= {f"organ.parts.{name}": (value, MODULUS) for name, value in (organ.parts or {}).items()}
-    for name, (value, (low, high)) in stated.items():
-        if value > 0.0:
-            found.append(Parameter(name, Prior(value, low * value, high * value)))
-    return found
+def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> OrganForward:
+    """With slopes by runs about the same constants: to one side of them where nothing is known, else to both."""
+    places = [at for at in range(len(forward.at)) if at not in forward.moduli[:1]]
+    others = []
+    for at in places:
+        prior = forward.parameters[at].prior
+        step = FIRST_STEP if spread is None else float(np.clip(spread[at], *STEPS))
+        for sign in (1.0,) if spread is None else (1.0, -1.0):
+            x = forward.at.copy()
+            x[at] = prior.x(prior.z(x[at]) + sign * step)
+            others.append(x)
+    risen = [each - forward.base for each in runs([_named(forward.parameters, x) for x in others])]
+    slopes, curvatures = np.zeros_like(forward.slopes), np.zeros_like(forward.slopes)
+    sides = len(others) // max(len(places), 1)
+    for number, at in enumerate(places):
+        of = slice(sides * number, sides * (number + 1))
+        steps = np.array([forward.distance(x)[at] for x in others[of]])
+        powers = np.linalg.inv(steps[:, None] ** np.arange(1.0, sides + 1.0))
+        found = np.tensordot(powers, np.stack(risen[of]), 1)
+        slopes[..., at] = found[0]
+        if sides == 2:
+            curvatures[..., at] = found[1]
+    return replace(forward, slopes=slopes, curvatures=curvatures)
 
 
-def _linear(
-    scene: Scene, poses: Poses, parameters: Sequence[Parameter], z: Array, workers: int, progress: Progress
-) -> LinearForward:
-    """Loads that are linear in the constants about those of normal numbers z, shape (p,)."""
-    x = np.array([float(each.prior.x(at)) for each, at in zip(parameters, z, strict=True)])
-    towards = np.where(z > 0.0, -STEP, STEP)
-    other = np.array([float(each.prior.x(at)) for each, at in zip(parameters, z + towards, strict=True)])
-    names = [each.name for each in parameters]
-    samples = [dict(zip(names, x.tolist(), strict=True))]
-    samples += [samples[0] | {name: float(value)} for name, value in zip(names, other, strict=True)]
-    base, *changed = organ_loads(scene, poses, samples, cores=workers, report=progress)
-    basis = np.stack([(each - base) / (b - a) for each, a, b in zip(changed, x, other, strict=True)], axis=-1)
-    times_s = float(poses.times_s[0]) + TICK_S * np.arange(len(base), dtype=np.float64)
-    return LinearForward(tuple(parameters), CHANNELS, times_s, basis, base - basis @ x)
+def _named(parameters: Sequence[Parameter], x: Array) -> dict[str, float]:
+    return {each.name: float(value) for each, value in zip(parameters, x, strict=True)}
+
+
+def _notes(found: Settled, count: int) -> tuple[str, ...]:
+    values = {
+        name: found.posterior.interval(at)[1] for at, name in enumerate(found.posterior.names) if name.startswith(KEYS)
+    }
+    keys = " ".join(f"--set {name}={value:.4g}" for name, value in values.items())
+    return (
+        f"{count} runs of the organ, the last {found.away:.2g} standard deviations from the result",
+        "what to measure next is not computed for an organ, whose every candidate would be several runs",
+        *([UNSETTLED] if found.away >= SETTLED else []),
+        *([f"keys of the scene, not in fitted.toml: {keys}"] if keys else []),
+    )

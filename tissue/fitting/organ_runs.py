@@ -1,17 +1,22 @@
 """Loads of a probe on an organ along a log's poses, by runs with other constants."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import perf_counter
 
 import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from meshes.base.progress import Progress, silent
+from meshes.base.progress import silent
+from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
+from tissue.fitting.organ_constants import KEYS, PART
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
 from tissue.scene.load import changed
@@ -23,10 +28,10 @@ from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.simulate import tick_count
 from tissue.system.workers import worker_pool
 
-__all__ = ["KEYS", "Poses", "organ_loads"]
+__all__ = ["OrganRuns", "Poses"]
 
-PART, KEYS = "organ.parts.", "organ."
-"""Beginning of the names of what is a key of the scene and no constant of a material."""
+PAYS_S = 2.0
+"""Time of a run from which processes pay, each of which takes as long to start [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +43,8 @@ class Poses:
     quaternions: Array
 
 
-def organ_loads(
-    scene: Scene, poses: Poses, samples: Sequence[Mapping[str, float]], *, cores: int, report: Progress
-) -> list[Array]:
-    """Force [N] and torque about the tip [N m] on the tool for each set of constants, shape (ticks, 6) each.
+class OrganRuns:
+    """Runs of an organ along a log's poses, in this process, or in several where a run takes long.
 
     Parameters
     ----------
@@ -49,29 +52,57 @@ def organ_loads(
         The organ and the tool; its motion and device count for nothing.
     poses
         Where the tool went.
-    samples
-        Values by the names of constants, ``TABLE.MATERIAL.NAME`` or keys of the scene, one set a run.
+    channels
+        Loads that are kept, such as ``force_x_N``.
+    every
+        Ticks between two of them.
     cores
-        Processes that share the runs.
-    report
-        Called with what is being done.
+        Processes that may share the runs.
+
+    Attributes
+    ----------
+    poses
+        The same.
+    count
+        Runs that were made.
     """
-    run, found = partial(_loads, scene, poses), []
-    for number, loads in enumerate(_shared(run, samples, cores)):
-        found.append(loads)
-        report(f"{number + 1} of {len(samples)} runs of the organ", (number + 1) / len(samples))
-    return found
+
+    def __init__(
+        self, scene: Scene, poses: Poses, channels: Sequence[str] = CHANNELS, *, every: int = 1, cores: int = 1
+    ) -> None:
+        self.poses, self.count = poses, 0
+        self._run, self._cores = partial(_loads, scene, poses, tuple(channels), every), cores
+        self._pool: Executor | None = None
+        self._ends, self._longest_s = ExitStack(), 0.0
+
+    def __enter__(self) -> "OrganRuns":
+        return self
+
+    def __exit__(self, *problem: object) -> None:
+        self._ends.close()
+
+    def __call__(self, samples: Sequence[Mapping[str, float]]) -> list[Array]:
+        """Loads on the tool [N, N m], torques about its tip, for each set of constants, shape (n, channels) each.
+
+        Parameters
+        ----------
+        samples
+            Values by the names of constants, ``TABLE.MATERIAL.NAME`` or keys of the scene, one set a run.
+        """
+        self.count += len(samples)
+        if self._pool is None and min(self._cores, len(samples)) > 1 and self._longest_s > PAYS_S:
+            self._pool = self._ends.enter_context(worker_pool(self._cores))
+        if self._pool is not None:
+            return list(self._pool.map(self._run, samples))
+        found = []
+        for sample in samples:
+            begun_s = perf_counter()
+            found.append(self._run(sample))
+            self._longest_s = max(self._longest_s, perf_counter() - begun_s)
+        return found
 
 
-def _shared(run: "partial[Array]", samples: Sequence[Mapping[str, float]], cores: int) -> Iterator[Array]:
-    if cores < 2 or len(samples) < 2:
-        yield from map(run, samples)
-        return
-    with worker_pool(min(cores, len(samples))) as pool:
-        yield from pool.map(run, samples)
-
-
-def _loads(scene: Scene, poses: Poses, values: Mapping[str, float]) -> Array:
+def _loads(scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, values: Mapping[str, float]) -> Array:
     """The loads of one run."""
     with TemporaryDirectory(prefix="tissue-fit-") as name:
         with_values = _with(scene, values, Path(name, "sample.toml"))
@@ -88,10 +119,10 @@ def _loads(scene: Scene, poses: Poses, values: Mapping[str, float]) -> Array:
         for _ in range(ticks):
             loop.step()
     loop.finish()
-    found = np.hstack([loop.trace.vectors("model_force", "N"), loop.trace.vectors("model_torque", "Nm")])
+    found = np.column_stack([loop.trace[f"model_{name}"] for name in channels])[::every]
     if not np.isfinite(found).all():
         raise InputError("measured must hold poses that the organ's contact can follow, got one without a force")
-    return np.asarray(found)
+    return np.asarray(found, dtype=np.float64)
 
 
 def _with(scene: Scene, values: Mapping[str, float], path: Path) -> Scene:

@@ -13,13 +13,14 @@ from scipy.optimize import minimize
 from meshes.base.arrays import Array
 from tissue.fitting.clock_offset import offset_interval_s
 from tissue.fitting.forward import Forward
+from tissue.fitting.marginal import Marginal, marginal
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.noise import innovations
 from tissue.fitting.restricted import Restricted
 from tissue.fitting.target import OFFSET_S, Target, Unpacked
 from tissue.materials.prior import Prior
 
-__all__ = ["Posterior", "maximum_posterior"]
+__all__ = ["Posterior", "maximum_posterior", "polished"]
 
 OFFSETS_S = np.linspace(-3.0 * OFFSET_S, 3.0 * OFFSET_S, 25)
 """Offsets from which the search begins [s]: a force may rise at several times, so that there are several maxima."""
@@ -88,10 +89,19 @@ class Posterior:
         p = self.target.constants
         return offset_interval_s(self.target, self.maximum, OFFSET_S * float(np.sqrt(self.covariance[p, p])))
 
+    @cached_property
+    def marginals(self) -> tuple[Marginal, ...]:
+        """The law of each constant by itself, p of them."""
+        return tuple(marginal(self.target, self.maximum, self.covariance, at) for at in range(self.target.constants))
+
+    @property
+    def spreads(self) -> Array:
+        """Standard deviation of each constant's z, 1 before the log, shape (p,)."""
+        return np.array([each.spread for each in self.marginals])
+
     def interval(self, at: int) -> tuple[float, float, float]:
         """5, 50 and 95 % of a constant, by its place, in its unit."""
-        half = 1.6448536 * float(np.sqrt(self.covariance_z[at, at]))
-        low, middle, high = self.priors[at].x(self.mean_z[at] + half * np.array([-1.0, 0.0, 1.0])).tolist()
+        low, middle, high = self.priors[at].x(self.marginals[at].quantiles).tolist()
         return low, middle, high
 
     @property
@@ -127,17 +137,26 @@ def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     place = best[1]
     for _ in range(RESTRICTED):
         place = _climbed(Restricted(target, place), place)[1]
-    return Posterior(target, *_polished(Restricted(target, place), place))
+    return Posterior(target, *polished(Restricted(target, place), place))
 
 
 def _climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
-    """The greatest log density near a start, and its place."""
+    """The greatest log density near a start, and its place, in coordinates in which the information there is one."""
+    plain = target.target if isinstance(target, Restricted) else target
+    root = np.linalg.inv(np.linalg.cholesky(plain.information(start)))
+
+    def place(v: Array) -> Array:
+        return np.asarray(np.clip(start + v @ root, -FARTHEST, FARTHEST))
+
+    def downwards(v: Array) -> tuple[float, Array]:
+        value, gradient = target.value_and_gradient(place(v))
+        return -value, -root @ gradient
+
     found = minimize(
-        lambda u: tuple(-each for each in target.value_and_gradient(u)),
-        start, jac=True, method="L-BFGS-B", bounds=[(-FARTHEST, FARTHEST)] * len(start),
-        options={"maxiter": 400, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-4},
+        downwards, np.zeros(len(start)), jac=True, method="L-BFGS-B",
+        options={"maxiter": 400, "maxcor": 30, "ftol": 1e-12, "gtol": 1e-2},
     )  # fmt: skip
-    return -float(found.fun), np.asarray(found.x)
+    return -float(found.fun), place(found.x)
 
 
 def _shifted(target: Target, u: Array) -> list[Array]:
@@ -160,7 +179,7 @@ def _starts(target: Target) -> list[Array]:
     return [u for _, u in graded[:STARTS]]
 
 
-def _polished(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
+def polished(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
     """The maximum by Fisher's scoring, the inverse of the information there, and whether it was found."""
     value, gradient = target.value_and_gradient(u)
     for _ in range(SCORING_STEPS):

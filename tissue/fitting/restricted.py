@@ -9,8 +9,8 @@ constants less half the logarithm of the determinant of their information.
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.fitting.noise import INFORMATION
-from tissue.fitting.target import CORRELATION_SPREAD, MOST_CORRELATED, NOISE_SPREAD, Target
+from tissue.fitting.noise import place_information
+from tissue.fitting.target import Target
 
 __all__ = ["Restricted"]
 
@@ -36,7 +36,8 @@ class Restricted:
         first = np.where(starts, moved, 0.0)
         products = _products(first, first)
         crossed = _products(now, before)
-        # Information of a channel for correlation phi and scale s: (constant + linear phi + square phi²) / s².
+        # Information of a channel for correlation phi and scale s: (constant + linear phi + square phi²)
+        # times that of a place over s².
         self._constant = products + _products(now, now)
         self._linear = -crossed - np.swapaxes(crossed, 1, 2)
         self._square = _products(before, before) - products
@@ -45,17 +46,19 @@ class Restricted:
         """Log density, up to a constant, and its gradient, shape (size,)."""
         value, gradient = self.target.value_and_gradient(u)
         each, p, c = self.target.unpacked(u), self.target.constants, len(self.target.log.channels)
-        phi, precision = each.correlation[:, None, None], (1.0 / each.scale**2)[:, None, None]
+        nu, phi = each.freedom, each.correlation[:, None, None]
+        precision = (place_information(nu) / each.scale**2)[:, None, None]
         information = (self._constant + phi * self._linear + phi**2 * self._square) * precision
         whole = information.sum(axis=0) + np.eye(information.shape[1])
         inverse = np.linalg.inv(whole)
         by_phi = np.einsum("ij,cji->c", inverse, (self._linear + 2.0 * phi * self._square) * precision)
-        flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
-        gradient[p + 1 + c : p + 1 + 2 * c] += NOISE_SPREAD * np.einsum("ij,cji->c", inverse, information)
-        gradient[p + 1 + 2 * c :] -= 0.5 * CORRELATION_SPREAD * flat * by_phi
+        by_size = np.einsum("ij,cji->c", inverse, information)
+        gradient[p + 1 + c :] -= self.target.noise_gradient(
+            each, -by_size, 0.5 * by_phi, by_size / ((nu + 1.0) * (nu + 3.0))
+        )
         return value - 0.5 * float(np.linalg.slogdet(whole)[1]), gradient
 
 
 def _products(left: Array, right: Array) -> Array:
-    """Expected information of sensitivities (m, channels, k) for each channel, shape (channels, k, k)."""
-    return np.asarray(INFORMATION * np.einsum("tci,tcj->cij", left, right, optimize=True))
+    """Products of sensitivities (m, channels, k), summed over times, for each channel, shape (channels, k, k)."""
+    return np.asarray(np.einsum("tci,tcj->cij", left, right, optimize=True))

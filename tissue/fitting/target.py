@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 from meshes.base.arrays import Array
 from tissue.fitting.forward import Forward
 from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.noise import FREEDOM, INFORMATION, innovations, noise_terms
+from tissue.fitting.noise import NoiseTerms, freedom_information, innovations, noise_terms, place_information
 from tissue.fitting.shift import shift_operators
 
 __all__ = ["OFFSET_S", "Target", "Unpacked"]
@@ -20,8 +20,13 @@ BIAS_SHARE = 0.5
 """Standard deviation of a sensor's bias, in shares of the size of the log's loads."""
 NOISE_SHARE, NOISE_SPREAD = 0.05, 1.5
 """Median of the noise in shares of the same, and standard deviation of its logarithm: 90 % within a factor of 12."""
+LEAST_NOISE = 1e-3
+"""Least noise in shares of the same: a load's decimals in a file, and the velocity of a replayed tool over a tick."""
 CORRELATION_SPREAD, MOST_CORRELATED = 1.5, 0.9995
 """Standard deviation of artanh of the correlation of neighbours, 90 % within +-0.986, and its greatest size."""
+LEAST_FREEDOM, FREEDOM, FREEDOM_SPREAD = 2.0, 4.0, 1.0
+"""Least degrees of freedom of the noise, of a finite variance; median of what they are above it, 90 % from 3 to 23:
+heavy tails, and near enough the normal law, of which 90 % intervals that assume 4 would hold 87 %."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ class Unpacked:
         Of the clock of the force against that of the poses [s].
     bias
         Of each channel [N, N m], shape (channels,).
-    scale, correlation
+    scale, correlation, freedom
         Of the noise of each channel, see `tissue.fitting.noise`, shape (channels,).
     """
 
@@ -45,6 +50,7 @@ class Unpacked:
     bias: Array
     scale: Array
     correlation: Array
+    freedom: Array
 
 
 class Target:
@@ -64,17 +70,18 @@ class Target:
         self._places = [forward.channels.index(name) for name in log.channels]
         self._sizes = log.sizes()
         self.constants = len(self._priors)
-        self.size = self.constants + 1 + 3 * len(log.channels)
+        self.size = self.constants + 1 + 4 * len(log.channels)
         self._linearised: tuple[Array, Array, Array] | None = None
 
     def unpacked(self, u: Array) -> Unpacked:
         """The numbers of a fit from its vector, shape (size,)."""
         p, c = self.constants, len(self.log.channels)
-        bias, noise, correlation = u[p + 1 : p + 1 + c], u[p + 1 + c : p + 1 + 2 * c], u[p + 1 + 2 * c :]
-        scale = NOISE_SHARE * self._sizes * np.exp(NOISE_SPREAD * noise)
+        bias, noise, correlation, freedom = u[p + 1 :].reshape(4, c)
+        scale = self._sizes * (LEAST_NOISE + NOISE_SHARE * np.exp(NOISE_SPREAD * noise))
         return Unpacked(
             u[:p], OFFSET_S * float(u[p]), BIAS_SHARE * self._sizes * bias, scale,
             MOST_CORRELATED * np.tanh(CORRELATION_SPREAD * correlation),
+            LEAST_FREEDOM + FREEDOM * np.exp(FREEDOM_SPREAD * freedom),
         )  # fmt: skip
 
     def x(self, z: Array) -> Array:
@@ -119,24 +126,31 @@ class Target:
         """Derivatives (m, channels, k) as rows whose products are the expected information, shape (m * channels, k)."""
         known = np.isfinite(self.log.values)[:, :, None]
         each = innovations(np.where(known, moved, np.nan), noise.correlation) / noise.scale[:, None]
-        return np.asarray(np.sqrt(INFORMATION) * np.nan_to_num(each).reshape(-1, moved.shape[2]))
+        rows = np.sqrt(place_information(noise.freedom))[:, None] * np.nan_to_num(each)
+        return np.asarray(rows.reshape(-1, moved.shape[2]))
 
     def information(self, u: Array) -> Array:
         """Expected information of the log and the priors about everything, shape (size, size), positive definite.
 
-        Of constants, offset and biases by the sensitivities, their cross terms with the noise being zero; of the log
-        scale and correlation of a channel by Student's law (Lange, Little and Taylor 1989) and a stationary chain.
+        Of constants, offset and biases by the sensitivities, their cross terms with the noise being zero; of the noise
+        of a channel by Student's law (Lange, Little and Taylor 1989) and a stationary chain.
         """
         each, free = self.unpacked(u), self.constants + 1 + len(self.log.channels)
         columns = self.whitened(self.linearised(u)[1], each)
         samples = np.isfinite(self.log.values).sum(axis=0)
+        nu, place = each.freedom, place_information(each.freedom)
         flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
-        of_correlation = INFORMATION * FREEDOM / (FREEDOM - 2.0) / (1.0 - each.correlation**2)
+        of_correlation = place * nu / (nu - 2.0) / (1.0 - each.correlation**2)
+        of_freedom, crossed = freedom_information(nu)
+        by_noise, by_u = self._by_noise(each), FREEDOM_SPREAD * (nu - LEAST_FREEDOM)
         found = np.eye(self.size)
         found[:free, :free] += columns.T @ columns
-        places = np.arange(free, self.size).reshape(2, -1)
-        found[places[0], places[0]] += samples * NOISE_SPREAD**2 * 2.0 * FREEDOM / (FREEDOM + 3.0)
-        found[places[1], places[1]] += samples * of_correlation * (CORRELATION_SPREAD * flat) ** 2
+        noise, chain, tails = np.arange(free, self.size).reshape(3, -1)
+        found[noise, noise] += samples * by_noise**2 * 2.0 * nu / (nu + 3.0)
+        found[chain, chain] += samples * of_correlation * (CORRELATION_SPREAD * flat) ** 2
+        found[tails, tails] += samples * of_freedom * by_u**2
+        found[noise, tails] += samples * crossed * by_noise * by_u
+        found[tails, noise] = found[noise, tails]
         return found
 
     def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
@@ -147,20 +161,35 @@ class Target:
         each, p, c = self.unpacked(u), self.constants, len(self.log.channels)
         simulated, sensitivities = self.linearised(u)
         residuals = self.log.values - simulated
-        terms = noise_terms(residuals, each.scale, each.correlation)
+        terms = self.terms(residuals, each)
         gradient = -u.copy()
         moved = -np.where(np.isfinite(residuals), terms.by_residuals, 0.0)
         gradient[: p + 1 + c] += moved.ravel() @ sensitivities.reshape(moved.size, -1)
-        gradient[p + 1 + c : p + 1 + 2 * c] += NOISE_SPREAD * terms.by_log_scale
-        flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
-        gradient[p + 1 + 2 * c :] += CORRELATION_SPREAD * flat * terms.by_correlation
+        gradient[p + 1 + c :] += self.noise_gradient(each, terms.by_log_scale, terms.by_correlation, terms.by_freedom)
         return terms.log_density - 0.5 * float(u @ u), gradient
 
     def value(self, u: Array) -> float:
         """Log density, up to a constant, in less time than with its gradient."""
         each = self.unpacked(u)
         residuals = self.log.values - self.loads(self.x(each.z), each.offset_s) - each.bias
-        return noise_terms(residuals, each.scale, each.correlation).log_density - 0.5 * float(u @ u)
+        return self.terms(residuals, each).log_density - 0.5 * float(u @ u)
+
+    @staticmethod
+    def terms(residuals: Array, each: Unpacked) -> NoiseTerms:
+        """Log density of residuals, shape (m, channels), by the noise."""
+        return noise_terms(residuals, each.scale, each.correlation, each.freedom)
+
+    def noise_gradient(self, each: Unpacked, by_log_scale: Array, by_correlation: Array, by_freedom: Array) -> Array:
+        """Derivatives by ln scale, correlation and freedom of each channel as those by u, shape (3 * channels,)."""
+        flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
+        grown = FREEDOM_SPREAD * (each.freedom - LEAST_FREEDOM)
+        return np.concatenate(
+            [self._by_noise(each) * by_log_scale, CORRELATION_SPREAD * flat * by_correlation, grown * by_freedom]
+        )
+
+    def _by_noise(self, each: Unpacked) -> Array:
+        """Derivative of ln scale of each channel by u, shape (channels,)."""
+        return np.asarray(NOISE_SPREAD * (1.0 - LEAST_NOISE * self._sizes / each.scale))
 
     def start(self, offset_s: float) -> Array:
         """Where an optimiser begins: constants by linear least squares from the middle of their priors."""
@@ -180,10 +209,10 @@ class Target:
             u[:free] = np.clip(u[:free] + step, -4.0, 4.0)
         residuals = self.log.values - self.simulated(u)
         e = residuals[1:] - CORRELATED * residuals[:-1]
-        spread = 1.4826 * np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0) + 1e-6 * self._sizes
+        spread = 1.4826 * np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0) + LEAST_NOISE * self._sizes
         noise, c = slice(free, free + len(self._sizes)), len(self._sizes)
         u[noise] = np.log(spread / (NOISE_SHARE * self._sizes)) / NOISE_SPREAD
-        u[free + c :] = np.arctanh(CORRELATED) / CORRELATION_SPREAD
+        u[free + c : free + 2 * c] = np.arctanh(CORRELATED) / CORRELATION_SPREAD
         return u
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from math import isfinite
+from os import PathLike
 from pathlib import Path
 from typing import ClassVar, TypeGuard
 
@@ -47,7 +48,7 @@ class Materials:
     cited: ClassVar["Materials"]
 
     @classmethod
-    def read(cls, file: str | Path) -> "Materials":
+    def read(cls, file: str | PathLike[str]) -> "Materials":
         """Constants of a TOML file, over the cited ones.
 
         Raises
@@ -61,6 +62,25 @@ class Materials:
         except (OSError, ValueError):
             raise InputError(f"materials must be a TOML file that exists, got {path}: check the path") from None
         return _parsed(text, str(path))
+
+    @classmethod
+    def of(cls, given: "str | PathLike[str] | Materials | None") -> "Materials":
+        """Constants that a caller gives, by their file or as they are; None for the cited ones; raises as `read`.
+
+        Raises
+        ------
+        InputError
+            If it is neither.
+        """
+        if given is None:
+            return cls.cited
+        if isinstance(given, Materials):
+            return given
+        if not isinstance(given, str | PathLike):
+            raise InputError(
+                f"materials must be the path of a TOML file, got {type(given).__name__}: name what `tissue fit` wrote"
+            )
+        return cls.read(given)
 
     def constants(self, table: str, material: str) -> dict[str, Constant]:
         """Constants of a material by their names, those of the file in place of the cited ones; raises as `constants`.

@@ -1,16 +1,20 @@
 """The constants that a scene rests on, and those that it states itself."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from tissue.materials.constants import Constant, listed
 from tissue.materials.cutting import CUT_AS
+from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import BlockAnatomy
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
-__all__ = ["Used", "used_constants"]
+__all__ = ["Used", "used_constants", "used_of_cutting", "used_of_device"]
+
+Part = tuple[str, str, tuple[str, ...] | None]
+"""Table, material, and the names that are used where it is not all of them."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +44,28 @@ class Used:
 
 def used_constants(scene: Scene, layers: Sequence[str]) -> list[Used]:
     """Constants of the tissue's layers, and of device and hand where there are any, in the order of their tables."""
-    found, given = [], scene.constants
-    for table, material, chosen in _tables(scene, layers):
-        stated = _stated(scene, table, material)
+    return _used(scene.constants, _tables(scene, layers), lambda table, material: _stated(scene, table, material))
+
+
+def used_of_cutting(
+    given: Materials, layers: Sequence[str], *, bone: str, stated: Mapping[str, float], has_reference_density: bool
+) -> list[Used]:
+    """Those of layers that are cut, `bone` being the material of bone; `stated` are a caller's own."""
+    parts = _cutting(given, layers, bone, has_reference_density=has_reference_density)
+    return _used(given, parts, lambda table, material: stated)
+
+
+def used_of_device(given: Materials, device: str | None, hand: str) -> list[Used]:
+    """Those of a device, None where a caller states its numbers, and of the hand that holds it."""
+    return _used(given, _device(device, hand), lambda table, material: {})
+
+
+def _used(
+    given: Materials, parts: Iterable[Part], stated_of: Callable[[str, str], Mapping[str, float | None]]
+) -> list[Used]:
+    found: list[Used] = []
+    for table, material, chosen in parts:
+        stated = stated_of(table, material)
         known = given.constants(table, material) if material in listed(table) else given.layer_constants(material)
         found += [
             Used(f"{table}, {material.replace('_', ' ')}", name, one, f"{table}.{material}.{name}", stated.get(name))
@@ -52,11 +75,13 @@ def used_constants(scene: Scene, layers: Sequence[str]) -> list[Used]:
     return found
 
 
-def _tables(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tuple[str, ...] | None]]:
-    """Tables and materials, with the names that are used where it is not all of them."""
+def _tables(scene: Scene, layers: Sequence[str]) -> Iterator[Part]:
+    """Tables and materials of a scene."""
     anatomy, tool = scene.anatomy, scene.tool
     if isinstance(tool, Tool) and tool.spin_rpm != 0.0:
-        yield from _cutting(scene, layers)
+        yield from _cutting(
+            scene.constants, layers, scene.cutting.material, has_reference_density=_has_reference_density(scene)
+        )
     yield from _tooth(scene, layers)
     if isinstance(anatomy, SoftAnatomy):
         organ = scene.organ
@@ -73,18 +98,23 @@ def _tables(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tup
         if anatomy.interval_ms > 0.0:
             yield "soft", "liver", ("modulus_kPa",)
     if scene.device in listed("devices"):
-        yield "devices", scene.device, None
-        yield "hands", "any", None
-        if scene.hand in listed("hands"):
-            yield "hands", scene.hand, None
+        yield from _device(scene.device, scene.hand)
 
 
-def _cutting(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tuple[str, ...] | None]]:
+def _device(device: str | None, hand: str) -> Iterator[Part]:
+    if device in listed("devices"):
+        yield "devices", device, None
+    yield "hands", "any", None
+    if hand in listed("hands"):
+        yield "hands", hand, None
+
+
+def _cutting(given: Materials, layers: Sequence[str], bone: str, *, has_reference_density: bool) -> Iterator[Part]:
     """Cutting constants of materials as far as a layer takes them, and those that layers have of their own."""
-    given, needed = scene.constants, dict[str, dict[str, None]]()
-    fixed = {"density_exponent"} if _has_reference_density(scene) else set()
+    needed = dict[str, dict[str, None]]()
+    fixed = {"density_exponent"} if has_reference_density else set()
     for layer in layers:
-        material = CUT_AS.get(layer, scene.cutting.material)
+        material = CUT_AS.get(layer, bone)
         for name in given.constants("cutting", material):
             by = layer if f"cutting.{layer}.{name}" in given.given else material
             if name not in fixed:

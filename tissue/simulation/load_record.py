@@ -51,7 +51,7 @@ class LayerLoads:
     unit: Array
 
     def per_coefficient(self, strengths: Array) -> Array:
-        """Loads of a unit of each coefficient for weights of the nodes, shape (6, n, 6)."""
+        """Loads of a unit of each coefficient for weights of the nodes, shape (k, nodes): (k, 6, n, 6)."""
         return np.asarray(np.tensordot(strengths, self.unit, 1))
 
 
@@ -125,10 +125,10 @@ class LoadRecord:
             factor = 1.0 if density_factors is None else float(density_factors[at])
             each = coefficients[at]
             strengths, values = _strengths(layer, each, factor), _values(each)
-            unit = layer.per_coefficient(strengths)
-            found[:, :, at, :COEFFICIENTS] = np.moveaxis(unit, 0, -1)
             grown = strengths * layer.nodes.logarithms(reference_kg_m3=each.reference_density_kg_m3, factor=factor)
-            found[:, :, at, -2] = np.tensordot(values, layer.per_coefficient(grown), 1)
+            unit, unit_grown = layer.per_coefficient(np.stack([strengths, grown]))
+            found[:, :, at, :COEFFICIENTS] = np.moveaxis(unit, 0, -1)
+            found[:, :, at, -2] = np.tensordot(values, unit_grown, 1)
             found[:, :, at, -1] = np.tensordot(values, unit, 1) * (each.density_exponent / factor)
         return found
 

@@ -6,6 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 import tissue
+from tissue.fitting.fitted_file import FittedEntry, write_fitted
 
 BURR = tissue.cutters.ball_burr(diameter_mm=3, flutes=6, spin_rpm=20_000)
 PATH = [[-4, 0, 3], [-4, 0, -0.8], [3, 0.5, -0.8]]
@@ -51,6 +52,32 @@ def test_a_cut_gives_what_a_scene_gives(block):
     same = ~np.concatenate([[True], turning]) & ~np.concatenate([turning, [True]])  # a corner lies between two ticks
     assert np.abs(ours - theirs)[same].max() < 2e-3 * size
     assert abs(cut.removed_mm3[-1] / sum(run.parts.tissue.removed_m3 * 1e9) - 1.0) < 1e-3
+
+
+def test_a_file_of_constants_gives_what_its_values_give(tmp_path):
+    """As a scene's key `materials` does; a file that does nothing here is refused, one that does not hold is, too."""
+    names = {"radial_chip_N_mm2": 20.0, "radial_edge_N_mm": 3.0}
+    fitted, liver, missing = tmp_path / "fitted.toml", tmp_path / "liver.toml", tmp_path / "none.toml"
+    entries = [FittedEntry(f"cutting.bone.{name}", value, value, value, "a test", "L") for name, value in names.items()]
+    write_fitted(fitted, entries, np.eye(2), remark=())
+    write_fitted(liver, [FittedEntry("soft.liver.modulus_kPa", 5.0, 5.0, 5.0, "a test", "L")], np.eye(1), remark=())
+    size = {"size_mm": (12, 8, 5), "spacing_mm": 0.4}
+    bone = tissue.Bone.block(**size, materials=fitted)
+    found, wanted = slot(bone), slot(tissue.Bone.block(**size, cutting=names))
+    assert np.array_equal(found.force_N, wanted.force_N) and np.abs(found.force_N).max() > 1.0
+    assert bone.uncut().voxel_bone.coefficients == bone.voxel_bone.coefficients
+    assert bone.notes["materials"].startswith("of fitted.toml: cutting.bone.radial_chip_N_mm2 20 (20-20), a test")
+    scene = tissue.load_scene("milling", {"materials": str(fitted)})
+    assert bone.voxel_bone.coefficients == scene.constants.coefficients(bone.layer_names, {})
+    refused = [
+        ({"materials": liver}, "must hold a constant that the bone rests on, got soft.liver.modulus_kPa in liver.toml"),
+        ({"materials": missing}, "must be a TOML file that exists"),
+        ({"materials": 3}, "must be the path of a TOML file, got int"),
+        ({"materials": fitted, "cutting": names}, "cutting.radial_chip_N_mm2 must be left out where materials states"),
+    ]
+    for options, words in refused:
+        with pytest.raises(tissue.InputError, match=words):
+            tissue.Bone.block(**size, **options)
 
 
 def test_a_slot_has_the_volume_of_a_swept_ball():

@@ -7,6 +7,8 @@ import pyvista
 import tissue
 from meshes.base.errors import InputError
 from meshes.tets.structured import box
+from tissue.builders.organ import elasticity_of
+from tissue.fitting.fitted_file import FittedEntry, write_fitted
 
 STIFF = {"modulus_kPa": 8.0, "poisson_ratio": 0.45}
 BALL = tissue.ball(diameter_mm=12)
@@ -381,5 +383,27 @@ def test_tables_of_a_notebook_show_the_figures(organ, press):
 def test_a_press_whose_force_falls_with_depth_is_refused():
     """Deeper than it is wide the ball passes through what the linear law moves: no figure is better than a wrong one."""
     organ = tissue.Organ.block((40, 40, 20), modulus_kPa=8, poisson_ratio=0.45, edge_mm=4, order=1)
-    with pytest.raises(tissue.InputError, match=r"depth_mm must be one to which the force grows, got 14 .*press less"):
+    with pytest.raises(InputError, match=r"depth_mm must be one to which the force grows, got 14 .*press less"):
         organ.press(tissue.ball(diameter_mm=12), depth_mm=14, at_mm=(0, 0, 0))
+
+
+def test_a_liver_with_a_file_of_constants_is_that_of_a_scene_with_it(tmp_path):
+    file, bone = tmp_path / "fitted.toml", tmp_path / "bone.toml"
+    values = {"soft.liver.modulus_kPa": 7.0, "soft.liver.poisson_ratio": 0.46, "soft.kidney.modulus_kPa": 9.0}
+    entries = [FittedEntry(name, value, value, value, "a test", "L") for name, value in values.items()]
+    write_fitted(file, entries, np.eye(3), remark=())
+    radial = FittedEntry("cutting.bone.radial_chip_N_mm2", 20.0, 20.0, 20.0, "a test", "L")
+    write_fitted(bone, [radial], np.eye(1), remark=())
+    organ = tissue.Organ.liver(edge_mm=40, materials=file)
+    scene = tissue.load_scene("liver-press", {"materials": str(file)})
+    mesh, material = organ._made.mesh, organ._made.material
+    wanted, _ = elasticity_of(mesh, scene.anatomy, scene.organ, scene.constants)
+    assert np.array_equal(material.elasticity(mesh), wanted)
+    assert organ.moduli_kPa == {"body": 7.0} and material.poisson_ratio == 0.46
+    assert organ.notes["materials"].endswith("Not used in this organ: soft.kidney.modulus_kPa")
+    with pytest.raises(InputError, match="modulus_kPa must be left out where materials"):
+        tissue.Organ.liver(modulus_kPa=8, materials=file)
+    with pytest.raises(InputError, match="must hold a constant that the organ rests on"):
+        tissue.Organ.liver(materials=bone)
+    with pytest.raises(TypeError, match="materials"):
+        tissue.Organ.block((40, 40, 20), materials=file, **STIFF)

@@ -13,6 +13,8 @@ from gymnasium.utils.env_checker import check_env
 import tissue.environments
 from meshes.base.errors import InputError
 from tissue.environments.experts import expert_of
+from tissue.fitting.fitted_file import FittedEntry, write_fitted
+from tissue.materials.constants import constants
 
 ROOT = Path(__file__).resolve().parents[3]
 NAMES = ["tissue/Drilling-v0", "tissue/Milling-v0", "tissue/Palpation-v0"]
@@ -95,6 +97,28 @@ def test_a_picture_shows_the_episode(env):
         env.step(-env.action_space.high if env.spec.id != "tissue/Drilling-v0" else env.action_space.high)
     after = env.render()
     assert before.dtype == np.uint8 and before.shape == (360, 640, 3) and (before != after).any()
+
+
+def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_path):
+    """Forces are proportional to the coefficients."""
+    file, cited = tmp_path / "fitted.toml", constants("cutting", "bone")
+    twice = {f"cutting.bone.{name}": 2.0 * one.value for name, one in cited.items() if "chip" in name or "edge" in name}
+    entries = [FittedEntry(name, value, value, value, "a test", "L") for name, value in twice.items()]
+    write_fitted(file, entries, np.eye(len(entries)), remark=())
+    forces = []
+    for given in (None, file):
+        made = tissue.environments.Milling(materials=given)
+        made.reset(seed=0)
+        for _ in range(12):
+            made.step([1.0, 0.0, -1.0])
+        forces.append(made.mean_force_N)
+    assert np.linalg.norm(forces[0]) > 1.0
+    np.testing.assert_allclose(forces[1], 2.0 * forces[0], rtol=1e-6)
+    write_fitted(file, [FittedEntry("soft.liver.modulus_kPa", 5.0, 5.0, 5.0, "a test", "L")], np.eye(1), remark=())
+    with pytest.raises(InputError, match="must hold a constant that the environment rests on"):
+        tissue.environments.Drilling(materials=file).reset(seed=0)
+    with pytest.raises(TypeError, match="materials"):
+        tissue.environments.Palpation(materials=file)
 
 
 @pytest.mark.slow

@@ -5,7 +5,9 @@ import pytest
 from cut_logs import BLOCK, forward_along, plunging_cylinder
 
 from meshes.base.errors import InputError
+from tissue.fitting.averaged import block_averages
 from tissue.fitting.cutting_candidates import cutting_candidates
+from tissue.fitting.shift import shift_operators
 from tissue.materials.constants import constants
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
@@ -49,6 +51,22 @@ def test_derivatives_by_the_parameters():
         up, down = (forward.loads(x + sign * step * np.eye(len(x))[column]) for sign in (1.0, -1.0))
         central = (up - down) / (2.0 * step)
         assert slopes[:, :, column] == pytest.approx(central, abs=1e-7 * np.abs(central).max())
+
+
+def test_a_cut_averaged_as_a_log_has_the_loads_averaged():
+    """Over the samples of a block, at any delay; between those kept, a cubic."""
+    forward = forward_along(SLANT, [0.0, 0.2, 0.6])
+    x = values(forward) * 1.1
+    loads = forward.loads(x)
+    log = block_averages(forward.times_s, loads, forward.channels, 9)
+    averaged, plain = forward.averaged_as(log)
+    assert len(averaged.times_s) == -(-len(forward.times_s) // 3) and plain.within_s == (0.0,)
+    for delay in (0.0, 0.0031):
+        middle = slice(2, -2)
+        exact = (shift_operators(forward.times_s, log.times_s, delay, log.within_s)[0] @ loads)[middle]
+        kept = (shift_operators(averaged.times_s, log.times_s, delay)[0] @ averaged.loads(x))[middle]
+        assert kept == pytest.approx(exact, abs=0.05 * np.abs(loads[:, :3]).max())
+        assert np.sqrt(np.mean((kept - exact) ** 2)) < 2e-3 * np.abs(loads[:, :3]).max()
 
 
 @pytest.mark.parametrize(

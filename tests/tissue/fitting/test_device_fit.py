@@ -5,7 +5,8 @@ import pytest
 
 import tissue
 from meshes.base.errors import InputError
-from tissue.fitting.device import DeviceLog, device_fit, least_friction_N
+from tissue.fitting.device import device_fit, least_friction_N
+from tissue.fitting.device_windows import DeviceLog
 from tissue.fitting.posterior import maximum_posterior
 from tissue.haptics.device.device import DeviceParameters
 from tissue.haptics.device.simulated import SimulatedDevice
@@ -48,15 +49,16 @@ def test_weak_form_of_a_known_motion():
     speed = size * w * np.cos(w * times)
     force = np.zeros_like(x)
     force[:, 2] = -mass * w**2 * x[:, 2] + damping * speed + friction * np.sign(speed)
-    forward, loads = device_fit("touch", (DeviceLog(times, x, force),))
+    forward, loads = device_fit("touch", DeviceLog(times, x, force))
     assert forward.channels == ("force_z_N",)
     there = np.isfinite(loads.values[:, 0])
-    found = np.linalg.lstsq(forward.basis[there, 0], loads.values[there, 0], rcond=None)[0]
+    basis = forward.free.basis[np.isin(forward.times_s, loads.times_s), 0]
+    found = np.linalg.lstsq(basis[there], loads.values[there, 0], rcond=None)[0]
     np.testing.assert_allclose(found, [mass, damping, friction], rtol=2e-2)
 
 
 def test_a_free_log_knows_the_constants_over_the_gain_of_the_motors():
-    found = maximum_posterior(*device_fit("touch", (swung(),)))
+    found = maximum_posterior(*device_fit("touch", swung()))
     x = np.array([found.interval(at)[1] for at in range(4)])
     assert found.converged
     np.testing.assert_allclose(x[:3] / x[3], PLANTED, rtol=0.005)
@@ -64,11 +66,38 @@ def test_a_free_log_knows_the_constants_over_the_gain_of_the_motors():
     assert high / low > 1.15  # the gain alone is known to 10 %
 
 
+def test_a_hand_sensor_has_a_clock_and_a_bias_of_its_own():
+    """One that is 7 ms late and reads 0.1 N too much."""
+    held = swung(seed=1)
+    late = np.concatenate([np.zeros((7, 3)), held.applied_N[:-7]]) + 0.1
+    found = maximum_posterior(*device_fit("touch", swung(), hold(held, late)))
+    x = np.array([found.interval(at)[1] for at in range(6)])
+    np.testing.assert_allclose(x[:4], [*PLANTED, 1.0], rtol=0.005)
+    assert x[5] == pytest.approx(0.007, abs=1e-4)
+    np.testing.assert_allclose(found.nuisances.bias, [0.0, 0.0, 0.1, 0.1], atol=2e-3)
+
+
+def test_derivatives_of_the_loads_are_those_of_differences():
+    held = swung(seed=1, seconds=2.5)
+    held = DeviceLog(held.times_s, held.position_m, held.applied_N[::-1], held.applied_N)
+    forward, _ = device_fit("touch", swung(seconds=2.5), held)
+    x = np.array([0.05, 0.3, 0.2, 0.9, 6e-4, 3e-3])
+    for at, step in enumerate(1e-3 * x):
+        above, below = (forward.loads(x + sign * step * np.eye(6)[at]) for sign in (1.0, -1.0))
+        slope = (above - below) / (2.0 * step)
+        np.testing.assert_allclose(forward.jacobian(x)[:, :, at], slope, atol=1e-4 * np.abs(slope).max())
+
+
 def test_a_device_at_rest_bounds_its_friction_and_fits_nothing():
     log = swung((0.05, 0.3, 0.9), size_N=0.1, seconds=2.0)
     assert 0.1 < least_friction_N(log, 5.5e-5) < 0.9
     with pytest.raises(InputError, match="in motion"):
-        device_fit("touch", (log,))
+        device_fit("touch", log)
+
+
+def hold(log, hand_N):
+    """The same motion, swung by a hand while the motors are off."""
+    return DeviceLog(log.times_s, log.position_m, np.zeros_like(hand_N), hand_N)
 
 
 def written(path, log, hand=None, *, motors=True):
@@ -110,7 +139,7 @@ def test_planted_device_comes_back_by_the_command(logs, tmp_path, command):
 def test_motors_that_are_weaker_than_stated_are_found_by_the_held_log(logs):
     """They give 0.8 of what the log has."""
     found = tissue.fit("device:touch", logs[2], held=logs[1]).to_pandas()["p50"].to_numpy()
-    np.testing.assert_allclose(found, [*PLANTED, 0.8], rtol=0.005)
+    np.testing.assert_allclose(found[:4], [*PLANTED, 0.8], rtol=0.005)
 
 
 @pytest.mark.parametrize(

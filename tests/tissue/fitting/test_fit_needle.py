@@ -65,3 +65,16 @@ def written(path, *, up_mm, channel):
 def test_logs_without_an_insertion_or_its_force_are_refused(tmp_path, up_mm, channel, message):
     with pytest.raises(tissue.InputError, match=message):
         tissue.fit(tissue.load_scene("needle", SCENE), written(tmp_path / "log.csv", up_mm=up_mm, channel=channel))
+
+
+def test_a_puncture_below_the_cited_range_is_named(tmp_path):
+    """A force that rises to 0.5 N over 5 mm and falls to 0.2 N, in a log that ends before the cited puncture."""
+    times = np.arange(0.0, 1.0, 0.002)
+    depth = 10.0 * times - 1.0
+    force = np.where(depth < 5.0, 0.1 * np.maximum(depth, 0.0), 0.2)
+    force += 0.002 * np.random.default_rng(0).standard_normal(len(times))
+    rows = np.column_stack([times, 0.0 * times, 0.0 * times, -depth, force])
+    head = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,force_z_N"
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=head, comments="")
+    with pytest.raises(tissue.InputError, match=r"from 0\.\d+ to 0\.2\d* N at [45]\.?\d* mm, like a puncture"):
+        tissue.fit(tissue.load_scene("needle", SCENE), tmp_path / "log.csv")

@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 
 import tissue
+from tissue.fitting.cutting import CHANNELS
+from tissue.fitting.log import read_log
+from tissue.fitting.organ_problem import EVERY
+from tissue.fitting.organ_runs import OrganRuns, Poses
 
 SCENE = {
     "anatomy.size_mm": [50, 40, 20], "anatomy.nodule_diameter_mm": None, "anatomy.edge_mm": 8.0,
@@ -39,18 +43,93 @@ def test_modulus_and_friction_come_back(log, tmp_path):
         assert row["state"] == "determined"
         assert abs(row["p50"] - planted) < 4.0 * (row["p95"] - row["p05"]) / 3.29
     assert posterior.nuisances.bias == pytest.approx([0.02] * 3, abs=0.01)
-    assert "to be set in the scene: organ.friction" in " ".join(fit.fitted.sentences)
+    friction = table.loc["organ.friction", "p50"]
+    assert f"not in fitted.toml: --set organ.friction={friction:.4g}" in " ".join(fit.fitted.sentences)
     fit.save(tmp_path / "fit")
     text = (tmp_path / "fit" / "fitted.toml").read_text("utf-8")
     assert "modulus_kPa" in text and "friction" not in text
+    forward, rng = posterior.target.forward, np.random.default_rng(3)
+    x = posterior.target.x(rng.multivariate_normal(posterior.mean_z, posterior.covariance_z))
+    (again,) = runs_of(fit)([dict(zip(posterior.names, x.tolist(), strict=True))])
+    off = np.sqrt(np.mean((forward.loads(x) - again) ** 2))
+    assert off < 0.2 * posterior.nuisances.scale.min(), "loads between runs, against a run"
+
+
+def runs_of(fit):
+    """Runs along the log of a fit, as it takes them."""
+    log = read_log(fit.fitted.path)
+    scene = tissue.load_scene("palpation", SCENE)
+    return OrganRuns(scene, Poses(log.times_s, log.tips_m, log.quaternions_of(scene)), log.channels, every=EVERY)
+
+
+def test_a_log_that_never_touches_is_refused(tmp_path):
+    times, forces = np.arange(0.0, 1.0, 1e-3), np.random.default_rng(0).standard_normal((1000, 3))
+    tips = np.column_stack([20.0 * times, 0.0 * times, 30.0 + 0.0 * times])
+    write_log(tmp_path / "air.csv", times, tips, forces)
+    with pytest.raises(tissue.InputError, match="measured must bring the tool to the organ"):
+        tissue.fit(tissue.load_scene("palpation", SCENE), tmp_path / "air.csv", cores=1)
+
+
+def write_log(path, times, tips, forces):
+    head = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,force_x_N,force_y_N,force_z_N"
+    np.savetxt(path, np.column_stack([times, tips, forces]), delimiter=",", header=head, comments="")
+
+
+def pressed(path, changes, corners_mm, times_s, planted, *, noise_N, seed):
+    """The scene of a slab with changes, and the log of a ball along a path in it with planted constants."""
+    scene = tissue.load_scene("palpation", SCENE | changes)
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(times_s), 1))
+    poses = Poses(np.array(times_s), 1e-3 * np.array(corners_mm), upright)
+    (loads,) = OrganRuns(scene, poses, CHANNELS[:3])([planted])
+    times = 1e-3 * np.arange(len(loads))
+    tips = np.column_stack([np.interp(times, times_s, each) for each in np.array(corners_mm, dtype=float).T])
+    write_log(path, times, tips, loads + noise_N * np.random.default_rng(seed).standard_t(4, loads.shape))
+    return scene
+
+
+def assert_found(table, planted):
+    """Each constant is determined, and within four standard deviations of what was planted."""
+    assert set(table.index) == set(planted)
+    for name, value in planted.items():
+        row = table.loc[name]
+        assert row["state"] == "determined", name
+        assert abs(row["p50"] - value) < 4.0 * (row["p95"] - row["p05"]) / 3.29, name
+
+
+VISCOUS = {"organ.viscous": True, "organ.poisson_ratio": None}
+PRONY = {"prony_g1": 0.27, "prony_tau1_s": 0.045, "prony_g2": 0.3, "prony_tau2_s": 0.4}
 
 
 @pytest.mark.slow
-def test_a_log_that_never_touches_is_refused(log, tmp_path):
-    import pandas
+def test_a_prony_series_comes_back_from_a_held_press(tmp_path):
+    planted = {f"soft.liver.{name}": value for name, value in PRONY.items()}
+    corners = [[0, 0, 0.5], [0, 0, -3], [0, 0, -3], [0, 0, -1], [0, 0, -1]]
+    scene = pressed(tmp_path / "log.csv", VISCOUS, corners, [0.0, 0.03, 1.5, 1.53, 2.5], planted, noise_N=5e-4, seed=4)
+    fit = tissue.fit(scene, tmp_path / "log.csv", free=["soft.prony"], cores=1)
+    assert_found(fit.to_pandas(), planted)
 
-    table = pandas.read_csv(log)
-    table["tool_z_mm"] += 50.0
-    table.to_csv(tmp_path / "air.csv", index=False)
-    with pytest.raises(tissue.InputError, match="measured must bring"):
-        tissue.fit(tissue.load_scene("palpation", SCENE), tmp_path / "air.csv", cores=1)
+
+@pytest.mark.slow
+def test_a_log_too_short_for_relaxation_leaves_its_constants_at_their_range(tmp_path):
+    """A slow press without a hold: the force grows, and what relaxes meanwhile looks like a softer organ."""
+    corners = [[0, 0, 0.2], [0, 0, -0.5]]
+    scene = pressed(tmp_path / "log.csv", VISCOUS, corners, [0.0, 0.6], {}, noise_N=2e-3, seed=5)
+    fit = tissue.fit(scene, tmp_path / "log.csv", free=["soft.modulus_kPa", "soft.prony"], cores=1)
+    (sentence,) = [each for each in fit.verdicts if each.startswith("not narrowed by this log")]
+    for name in ("prony_g1", "prony_tau1_s", "prony_tau2_s"):
+        row = fit.to_pandas().loc[f"soft.liver.{name}"]
+        assert row["state"] == "at its prior"
+        assert row["p05"] < 1.2 * row["cited_low"] and row["p95"] > row["cited_high"] / 1.2
+        assert name.removesuffix("_s").replace("_", " ") in sentence
+
+
+@pytest.mark.slow
+def test_the_modulus_of_a_part_comes_back_from_a_slide_over_it(tmp_path):
+    changes = {
+        "anatomy.size_mm": [50, 40, 30], "anatomy.edge_mm": 6.0, "anatomy.nodule_diameter_mm": 14.0,
+        "anatomy.nodule_centre_mm": [8, 0, -14], "organ.young_kPa": 5.0, "organ.order": 1,
+        "organ.parts": {"nodule": 60.0}, "organ.viscous": False, "organ.friction": 0.0,
+    }  # fmt: skip
+    corners, planted = [[-12, 0, 0.5], [-12, 0, -2], [12, 0, -2]], {"organ.young_kPa": 6.5, "organ.parts.nodule": 40.0}
+    scene = pressed(tmp_path / "log.csv", changes, corners, [0.0, 0.1, 1.0], planted, noise_N=5e-4, seed=6)
+    assert_found(tissue.fit(scene, tmp_path / "log.csv", cores=1).to_pandas(), planted)

@@ -7,10 +7,9 @@ from tissue.fitting.experiments import expected_information
 from tissue.fitting.forward import LinearForward
 from tissue.fitting.identifiability import identified
 from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.noise import INFORMATION
 from tissue.fitting.parameter import Parameter
 from tissue.fitting.posterior import Posterior
-from tissue.fitting.target import BIAS_SHARE, CORRELATION_SPREAD, MOST_CORRELATED, OFFSET_S, Target
+from tissue.fitting.target import BIAS_SHARE, CORRELATION_SPREAD, FREEDOM, MOST_CORRELATED, OFFSET_S, Target
 from tissue.materials.prior import Prior
 
 TIMES_S = np.arange(0.0, 2.0, 0.01)
@@ -44,13 +43,16 @@ def dense(posterior, columns):
     scale = float(posterior.nuisances.scale[0])
     lags = np.abs(np.subtract.outer(np.arange(200), np.arange(200)))
     covariance = scale**2 / (1.0 - PHI**2) * PHI**lags
-    return INFORMATION * columns.T @ np.linalg.solve(covariance, columns)
+    place = (FREEDOM + 3.0) / (FREEDOM + 5.0)  # of freedom 2 + FREEDOM, the median
+    return place * columns.T @ np.linalg.solve(covariance, columns)
 
 
 def by_z(posterior, forward):
     slopes = [float(prior.slope(z)) for prior, z in zip(PRIORS, posterior.mean_z, strict=True)]
     bias = np.full((200, 1), BIAS_SHARE * posterior.target.log.sizes()[0])
-    return np.concatenate([forward.basis[:, 0] * slopes, bias], axis=1)
+    x = posterior.target.x(posterior.mean_z)
+    by_offset = -OFFSET_S * np.gradient(forward.loads(x)[:, 0], TIMES_S)
+    return np.concatenate([forward.basis[:, 0] * slopes, bias, by_offset[:, None]], axis=1)
 
 
 def left(whole):
@@ -86,9 +88,5 @@ def test_a_combination_that_is_known_for_certain_gains_nothing(posterior):
 
 def test_information_of_the_log(posterior):
     """With offset and bias free; the slope of the load by the offset from differences, 1e-3 of it."""
-    forward = posterior.target.forward
-    x = posterior.target.x(posterior.mean_z)
-    by_offset = -OFFSET_S * np.gradient(forward.loads(x)[:, 0], TIMES_S)
-    columns = np.concatenate([by_z(posterior, forward), by_offset[:, None]], axis=1)
-    expected = np.linalg.eigvalsh(left(dense(posterior, columns)))[::-1]
+    expected = np.linalg.eigvalsh(left(dense(posterior, by_z(posterior, posterior.target.forward))))[::-1]
     assert identified(posterior).eigenvalues == pytest.approx(expected, rel=1e-3)

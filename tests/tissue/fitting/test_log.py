@@ -87,6 +87,64 @@ def test_a_missing_column_is_named_with_those_that_are_there(tmp_path):
         read_log(tmp_path / "log.csv")
 
 
+def test_blank_lines_are_skipped_counted_and_lines_keep_their_numbers(table, tmp_path):
+    write_table(table, tmp_path / "log.csv")
+    lines = (tmp_path / "log.csv").read_text().splitlines()
+    (tmp_path / "log.csv").write_text("\n".join([*lines[:21], "", " ", *lines[21:], ""]))
+    log = read_log(tmp_path / "log.csv")
+    assert len(log.times_s) == len(TIMES_S) and "2 blank lines between the rows" in log.notes
+    (tmp_path / "log.csv").write_text("\n".join([*lines[:21], "", *lines[21:30], lines[30][:-3] + "x", *lines[31:]]))
+    with pytest.raises(InputError, match="in line 32"):
+        read_log(tmp_path / "log.csv")
+
+
+def test_matlab_7_3_has_structs(table, tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "log.mat", "w", userblock_size=512) as file:
+        file["#refs#/a"] = np.arange(3)
+        for name, values in zip(NAMES, table.rows.T, strict=True):
+            file[f"log/{name}"] = values[None]
+    with (tmp_path / "log.mat").open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file")
+    assert read_log(tmp_path / "log.mat").loads == pytest.approx(table.rows[:, 4:], rel=1e-12)
+
+
+def test_a_saturated_sensor_is_noted_and_its_samples_left_out(tmp_path):
+    """Clipped at 5 N; a peak in steps that is as flat for a moment is not, nor a smooth load that rests."""
+    times_s, rng = np.arange(0.0, 2.0, 1e-3), np.random.default_rng(0)
+    smooth = 6.0 * np.sin(np.pi * times_s)
+    noisy = smooth + 0.05 * rng.standard_normal(len(times_s))
+    rests = 3.0 * np.sin(np.pi * np.minimum(times_s, 0.5))
+    full = noisy >= 5.0
+    loads = np.column_stack([np.minimum(noisy, 5.0), np.round(smooth / 0.4) * 0.4, rests])
+    rows = np.column_stack([times_s, 1e3 * times_s, times_s, times_s, loads])
+    write_table(Table(NAMES, rows), tmp_path / "log.npz")
+    log = read_log(tmp_path / "log.npz")
+    assert np.array_equal(np.isnan(log.loads), np.column_stack([full, 0 * full, 0 * full]))
+    assert log.notes == (
+        f"{full.sum()} samples of force_x_N at 5 N left out: saturated",
+        "force_y_N comes in steps of 0.4 N, coarser than its noise: their error of 0.12 N is part of the noise that is "
+        "fitted",
+    )
+
+
+def test_slow_poses_and_noisy_ones_are_noted(tmp_path):
+    times_s, rng = np.arange(0.0, 2.0, 1e-3), np.random.default_rng(0)
+    x = 10.0 - np.abs(20.0 * times_s - 10.0)  # 20 mm/s, back in the middle
+    slow = np.repeat(x[::20], 20)
+    rows = np.column_stack([times_s, slow, 0.0 * x, 0.0 * x, *rng.standard_normal((3, len(times_s)))])
+    write_table(Table(NAMES, rows), tmp_path / "log.npz")
+    notes = read_log(tmp_path / "log.npz").notes
+    assert len(notes) == 1 and notes[0].startswith("poses come every 20 ms, loads every 1 ms: the straight path")
+    rows[:, 1] = x + 0.05 * rng.standard_normal(len(x))
+    write_table(Table(NAMES, rows), tmp_path / "log.npz")
+    notes = read_log(tmp_path / "log.npz").notes
+    assert len(notes) == 1 and notes[0].startswith("poses have noise of 0.051 mm, which is a speed of 72")
+    rows[:, 1] = x
+    write_table(Table(NAMES, rows), tmp_path / "log.npz")
+    assert read_log(tmp_path / "log.npz").notes == ()
+
+
 def test_means_over_blocks_keep_the_mean_and_fold_no_tone():
     times_s = np.arange(0.0, 2.0, 1e-3)
     tone = np.cos(2.0 * np.pi * 400.0 * times_s)  # two periods a block of 5 ms

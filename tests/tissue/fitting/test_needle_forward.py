@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.needle import NeedleForward, needle_names
-from tissue.fitting.needle_events import Event, found_events
+from tissue.fitting.needle_search import with_jumps
 from tissue.fitting.parameter import Parameter
 from tissue.materials.constants import constants
 from tissue.materials.prior import Prior
@@ -40,8 +41,14 @@ def engine():
         motion.heading[0] = 0.0, 0.0, -np.sign(speed)
         (model.place if sample == 0 else model.advance)(motion)
         force.append(model.respond(motion).wrench[2])
-    noisy = np.array(force) + NOISE_N * np.random.default_rng(0).standard_normal(len(force))
-    return replace(forward, events=forward.events_of(noisy)), np.array(force)
+    found, _ = with_jumps(forward, measured(forward, np.array(force)))
+    return replace(found, known=forward.known), np.array(force)
+
+
+def measured(forward, force, seed=0):
+    """A log of a force, with noise."""
+    noisy = force + NOISE_N * np.random.default_rng(seed).standard_normal(len(force))
+    return MeasuredLoads(forward.times_s, noisy[:, None], forward.channels)
 
 
 def cited_of(forward):
@@ -91,11 +98,17 @@ def test_derivatives_by_differences(engine):
         assert np.abs(by).max() > 0.0
 
 
-def test_log_without_jumps_has_no_event_and_leaves_their_constants_alone(engine):
-    forward, force = engine
-    smooth = NOISE_N * np.random.default_rng(2).standard_normal(len(force))
-    assert found_events(forward.times_s, forward.travel_m, smooth, (Event("puncture", 200),), force) == ()
+def test_a_membrane_that_no_jump_breaks_leaves_its_force_alone(engine):
+    forward, _ = engine
     slopes = replace(forward, events=()).jacobian(cited_of(forward))
     silent = [name for at, name in enumerate(forward.names) if not slopes[:, :, at].any()]
     assert "needle.liver.capsule_puncture_N" in silent
     assert "needle.liver.linear_N_mm" not in silent
+
+
+def test_samples_taken_together_are_those_taken_one_by_one(engine, monkeypatch):
+    forward, _ = engine
+    x = cited_of(forward) * (1.0 + 0.1 * np.random.default_rng(3).uniform(-1.0, 1.0, 13))
+    together = forward.loads(x)
+    monkeypatch.setattr("tissue.fitting.needle_runs.LEAST", 10**9)
+    np.testing.assert_allclose(replace(forward, known=forward.known).loads(x), together, rtol=0.0, atol=1e-12)

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.stats import t as student
 
-from tissue.fitting.noise import FREEDOM, innovations, noise_terms
+from tissue.fitting.noise import freedom_information, innovations, noise_terms, place_information
 
-SCALE, PHI = np.array([0.3, 2.0]), np.array([0.0, 0.8])
+SCALE, PHI, FREEDOM = np.array([0.3, 2.0]), np.array([0.0, 0.8]), np.array([4.0, 9.0])
 
 
 @pytest.fixture
@@ -20,28 +21,30 @@ def residuals():
 
 def test_without_correlation_it_is_students_law(residuals):
     expected = np.nansum(student.logpdf(residuals, FREEDOM, scale=SCALE))
-    assert noise_terms(residuals, SCALE, np.zeros(2)).log_density == pytest.approx(expected, rel=1e-12)
+    assert noise_terms(residuals, SCALE, np.zeros(2), FREEDOM).log_density == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_chain_is_a_product_of_conditional_densities_that_starts_anew_after_a_gap(residuals):
     expected = 0.0
-    for channel, (scale, phi) in enumerate(zip(SCALE, PHI, strict=True)):
+    for channel, (scale, phi, freedom) in enumerate(zip(SCALE, PHI, FREEDOM, strict=True)):
         last = np.nan
         for value in residuals[:, channel]:
             if np.isfinite(value):
                 started = np.isfinite(last)
                 centre, width = (phi * last, scale) if started else (0.0, scale / np.sqrt(1.0 - phi**2))
-                expected += student.logpdf(value, FREEDOM, centre, width)
+                expected += student.logpdf(value, freedom, centre, width)
             last = value
-    assert noise_terms(residuals, SCALE, PHI).log_density == pytest.approx(expected, rel=1e-12)
+    assert noise_terms(residuals, SCALE, PHI, FREEDOM).log_density == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_gradient_is_that_of_the_density(residuals):
-    terms, step = noise_terms(residuals, SCALE, PHI), 1e-6
+    terms, step = noise_terms(residuals, SCALE, PHI, FREEDOM), 1e-6
 
-    def slope(residuals_by=0.0, scale_by=0.0, phi_by=0.0):
+    def slope(residuals_by=0.0, scale_by=0.0, phi_by=0.0, freedom_by=0.0):
         up, down = (
-            noise_terms(residuals + h * residuals_by, SCALE * np.exp(h * scale_by), PHI + h * phi_by).log_density
+            noise_terms(
+                residuals + h * residuals_by, SCALE * np.exp(h * scale_by), PHI + h * phi_by, FREEDOM + h * freedom_by
+            ).log_density
             for h in (step, -step)
         )
         return (up - down) / (2.0 * step)
@@ -49,6 +52,7 @@ def test_the_gradient_is_that_of_the_density(residuals):
     for channel, unit in enumerate(np.eye(2)):
         assert terms.by_log_scale[channel] == pytest.approx(slope(scale_by=unit), rel=1e-6)
         assert terms.by_correlation[channel] == pytest.approx(slope(phi_by=unit), rel=1e-6)
+        assert terms.by_freedom[channel] == pytest.approx(slope(freedom_by=unit), rel=1e-6)
     for row, channel in ((0, 1), (1, 0), (7, 0), (11, 1), (15, 1), (39, 0)):
         bump = np.zeros_like(residuals)
         bump[row, channel] = 1.0
@@ -57,7 +61,7 @@ def test_the_gradient_is_that_of_the_density(residuals):
 
 
 def test_weights_give_the_gradient_of_a_sum_of_squares(residuals):
-    terms = noise_terms(residuals, SCALE, PHI)
+    terms = noise_terms(residuals, SCALE, PHI, FREEDOM)
     direction = np.random.default_rng(5).normal(size=residuals.shape)
     moved = innovations(np.where(np.isfinite(residuals), direction, np.nan), PHI)
     expected = -np.nansum(terms.weights * innovations(residuals, PHI) * moved)
@@ -65,17 +69,38 @@ def test_weights_give_the_gradient_of_a_sum_of_squares(residuals):
 
 
 def test_an_outlier_pulls_less_the_further_out_it_lies():
-    pull = lambda size: abs(noise_terms(np.array([[size]]), np.ones(1), np.zeros(1)).by_residuals[0, 0])  # noqa: E731
+    pull = lambda size: abs(noise_terms(np.array([[size]]), np.ones(1), np.zeros(1), FREEDOM[:1]).by_residuals[0, 0])  # noqa: E731
     assert pull(2.0) > pull(10.0) > pull(100.0)
 
 
 def test_the_true_scale_and_correlation_are_where_the_density_is_greatest():
     rng = np.random.default_rng(6)
     chain = np.zeros((20_000, 1))
-    shocks = 0.5 * rng.standard_t(FREEDOM, size=len(chain))
+    shocks = 0.5 * rng.standard_t(4.0, size=len(chain))
     for row in range(1, len(chain)):
         chain[row] = 0.7 * chain[row - 1] + shocks[row]
-    terms = noise_terms(chain, np.array([0.5]), np.array([0.7]))
+    terms = noise_terms(chain, np.array([0.5]), np.array([0.7]), np.array([4.0]))
     # the score is normal about zero with the Fisher information as its variance: within three standard deviations
-    assert abs(terms.by_log_scale[0]) < 3.0 * np.sqrt(len(chain) * 2.0 * FREEDOM / (FREEDOM + 3.0))
+    assert abs(terms.by_log_scale[0]) < 3.0 * np.sqrt(len(chain) * 8.0 / 7.0)
     assert abs(terms.by_correlation[0]) < 3.0 * np.sqrt(len(chain) * np.mean(chain**2) * 5.0 / 7.0 / 0.25)
+    assert abs(terms.by_freedom[0]) < 3.0 * np.sqrt(len(chain) * freedom_information(np.array([4.0]))[0][0])
+
+
+@pytest.mark.parametrize("freedom", [2.5, 4.0, 30.0])
+def test_information_is_the_mean_of_products_of_scores(freedom):
+    """Each score by differences of SciPy's density, their products integrated over it."""
+
+    def score(e, by):
+        h = 1e-4
+        up, down = (student.logpdf(e, *(np.array([freedom, 0.0, 1.0]) + sign * h * by)) for sign in (1.0, -1.0))
+        return (up - down) / (2.0 * h)
+
+    def mean(left, right):
+        whole = quad(lambda e: student.pdf(e, freedom) * score(e, left) * score(e, right), -np.inf, np.inf, limit=200)
+        return whole[0]
+
+    by_freedom, by_place, by_scale = np.eye(3)
+    of_freedom, crossed = freedom_information(np.array([freedom]))
+    assert place_information(np.array([freedom]))[0] == pytest.approx(mean(by_place, by_place), rel=1e-4)
+    assert of_freedom[0] == pytest.approx(mean(by_freedom, by_freedom), rel=1e-3)
+    assert crossed[0] == pytest.approx(mean(by_freedom, by_scale), rel=1e-3)

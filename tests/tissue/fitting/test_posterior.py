@@ -105,11 +105,18 @@ def test_density_and_coefficient_are_one_number():
     denser = Denser(parameters, forward.channels, forward.times_s, forward.basis)
     log, _ = plant(denser, np.random.default_rng(6), z=[0.5, -0.3, 0.2, 0.4, 1.0], scale=0.02)
     found = maximum_posterior(denser, log)
-    relative = [each.slope(z) / each.x(z) for each, z in zip(found.priors, found.mean_z, strict=True)]
-    shares = 1.5 * relative[4] / np.array(relative[:4])
-    # The products are known, so the priors of four coefficients each narrow the factor a little.
-    expected = 1.0 / np.sqrt(1.0 + shares @ shares)
-    assert identified(found).contraction[4] == pytest.approx(expected, rel=0.02)
+    # The products are known, so that the density of the factor is that of its number times those of the coefficients.
+    products = found.target.x(found.mean_z)[:4] * found.target.x(found.mean_z)[4] ** 1.5
+    z = np.linspace(-5.0, 5.0, 1001)
+    factor = found.priors[4].x(z)
+    logs = -0.5 * z**2
+    for prior, product in zip(found.priors[:4], products, strict=True):
+        k = product / factor**1.5
+        logs += -0.5 * prior.z(k) ** 2 - np.log(prior.slope(prior.z(k)) * factor**1.5)
+    density = np.exp(logs - logs.max())
+    density /= density.sum()
+    spread = np.sqrt(density @ z**2 - (density @ z) ** 2)
+    assert identified(found).contraction[4] == pytest.approx(spread, rel=0.03)
 
 
 def test_a_log_without_load_determines_nothing():

@@ -47,6 +47,11 @@ def test_listed_constants_change_a_run_and_others_do_not(name, tmp_path):
         if each.cited.low < each.cited.high and not each.name.startswith(LIMITS):
             changed = figures(name, SCENES[name], {each.full: other(each.cited)}, tmp_path)[2]
             assert not np.array_equal(changed, plain, equal_nan=True), each.full
+    require_no_other_counts(name, SCENES[name], used, plain, tmp_path)
+
+
+def require_no_other_counts(name, changes, used, plain, tmp_path):
+    """A run with every constant that is not listed changed is the same run."""
     names = {each.full for each in used}
     unused = {
         f"{table}.{material}.{constant}": other(one)
@@ -56,8 +61,28 @@ def test_listed_constants_change_a_run_and_others_do_not(name, tmp_path):
         if f"{table}.{material}.{constant}" not in names and one.low < one.high
     }
     assert len(unused) > 100
-    same = figures(name, SCENES[name], unused | {used[0].full: used[0].cited.value}, tmp_path)[2]
+    same = figures(name, changes, unused | {used[0].full: used[0].cited.value}, tmp_path)[2]
     np.testing.assert_array_equal(same, plain)
+
+
+DEEP = {"motion.points_mm": [[0, 0, 0.1], [0, 0, -6]], "motion.feed_mm_s": 40.0, "duration_s": 0.1}
+LARGER = {
+    "glenoid": {"voxels.spacing_mm": 0.5, "motion.feed_mm_s": 10.0, "duration_s": 0.4},
+    "molar": {"voxels.spacing_mm": 0.2, "stress": None, **DEEP},
+    "caries": {"voxels.spacing_mm": 0.2, "stress": None, **DEEP},
+    "pedicle": {"voxels.spacing_mm": 0.5, "duration_s": 0.6},
+    "liver-press": {"anatomy.edge_mm": 25, "anatomy.touch_edge_mm": 8, "duration_s": 0.5},
+}
+"""Scenes that take long with each constant changed in turn, without stress, which is solved beside the run."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LARGER)
+def test_what_is_not_listed_changes_nothing_in_a_larger_scene(name, tmp_path):
+    scene, layers, plain = figures(name, LARGER[name], {}, tmp_path)
+    assert tissue.simulate(scene).summary["force_N"]["peak"] > 0.05
+    used = [each for each in used_constants(scene, layers) if each.stated is None]
+    require_no_other_counts(name, LARGER[name], used, plain, tmp_path)
 
 
 @pytest.mark.parametrize("has_stress", [False, True])

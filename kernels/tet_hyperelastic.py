@@ -1,0 +1,214 @@
+"""Energy, force and tangent stiffness of tetrahedra under laws of principal stretches, any order.
+
+The laws of ``tissue.materials.hyperelasticity``, their moduli in shares of a cell's shear modulus mu. With the
+deformation gradient ``F = U diag(l) V^T`` at a quadrature point (``kernels.tet_nonlinear``), the stretches at constant
+volume ``b_i = l_i J^(-1/3)``, ``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``:
+
+    psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k) + (kappa / 4) (J^2 - 1 - 2 ln J)
+
+Stress and tangent are its derivatives by ``ln l_i`` in the frames U and V. A turned-over cell's energy is infinite.
+"""
+
+import warp as wp
+
+from kernels.tet_nonlinear import deformation, gradient_of
+
+__all__ = ["stretch_force", "stretch_stiffness"]
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+SWEEPS = wp.constant(12)
+EQUAL = wp.constant(wp.float64(1.0e-5))  # as in tissue.materials.hyperelasticity
+ZERO = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+TWO = wp.constant(wp.float64(2.0))
+THREE = wp.constant(wp.float64(3.0))
+HALF = wp.constant(wp.float64(0.5))
+IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
+
+
+@wp.func
+def stretches_of(f: wp.mat33d):
+    """Stretches and the frame V of a gradient with det F > 0, by Jacobi rotations of F^T F (Golub and Van Loan 8.5)."""
+    c = wp.transpose(f) * f
+    v = wp.mat33d(IDENTITY)
+    for _ in range(SWEEPS):
+        off = c[0, 1] * c[0, 1] + c[0, 2] * c[0, 2] + c[1, 2] * c[1, 2]
+        if off <= wp.float64(1.0e-31) * wp.ddot(c, c):
+            break
+        for k in range(3):
+            p = k // 2
+            q = 1 + (k + 1) // 2
+            if c[p, q] != ZERO:
+                theta = (c[q, q] - c[p, p]) / (TWO * c[p, q])
+                t = ONE / (wp.abs(theta) + wp.sqrt(theta * theta + ONE))
+                if theta < ZERO:
+                    t = -t
+                cosine = ONE / wp.sqrt(t * t + ONE)
+                turn = wp.mat33d(IDENTITY)
+                turn[p, p] = cosine
+                turn[q, q] = cosine
+                turn[p, q] = t * cosine
+                turn[q, p] = -t * cosine
+                c = wp.transpose(turn) * c * turn
+                v = v * turn
+    return wp.vec3d(wp.sqrt(c[0, 0]), wp.sqrt(c[1, 1]), wp.sqrt(c[2, 2])), v
+
+
+@wp.func
+def power_sum(isochoric: wp.vec3d, alpha: wp.float64):
+    """S(alpha) - 3 with its first and second derivatives by the logarithms of the stretches."""
+    power = wp.vec3d(wp.pow(isochoric[0], alpha), wp.pow(isochoric[1], alpha), wp.pow(isochoric[2], alpha))
+    mean = (power[0] + power[1] + power[2]) / THREE
+    second = wp.mat33d()
+    for i in range(3):
+        for j in range(3):
+            second[i, j] = -alpha * alpha * (power[i] + power[j] - mean) / THREE
+        second[i, i] = second[i, i] + alpha * alpha * power[i]
+    return THREE * (mean - ONE), alpha * (power - wp.vec3d(mean, mean, mean)), second
+
+
+@wp.func
+def derivatives(
+    stretch: wp.vec3d,
+    shear: wp.float64,
+    bulk: wp.float64,
+    terms: wp.array2d(dtype=wp.float64),
+    powers: wp.array(dtype=wp.float64),
+):
+    """Energy density [Pa], its slope and curvature by the logarithms of the stretches."""
+    j = stretch[0] * stretch[1] * stretch[2]
+    isochoric = stretch / wp.pow(j, ONE / THREE)
+    energy = wp.float64(0.25) * bulk * (j * j - ONE - TWO * wp.log(j))
+    pressing = HALF * bulk * (j * j - ONE)
+    slope = wp.vec3d(pressing, pressing, pressing)
+    ones = wp.vec3d(ONE, ONE, ONE)
+    curvature = bulk * j * j * wp.outer(ones, ones)
+    for p in range(terms.shape[0]):
+        scale = TWO * shear * terms[p, 0] / (terms[p, 1] * terms[p, 1])
+        value, first, second = power_sum(isochoric, terms[p, 1])
+        energy += scale * value
+        slope += scale * first
+        curvature += scale * second
+    if powers.shape[0] > 0:
+        value, first, second = power_sum(isochoric, TWO)
+        lower = ONE  # x^(k - 2)
+        for n in range(powers.shape[0]):
+            k = wp.float64(n + 2)
+            c = shear * powers[n]
+            energy += c * lower * value * value
+            slope += c * k * lower * value * first
+            curvature += c * k * lower * (value * second + (k - ONE) * wp.outer(first, first))
+            lower = lower * value
+    return energy, slope, curvature
+
+
+@wp.kernel
+def stretch_force(
+    # mesh
+    nodes: wp.array2d(dtype=wp.int32),  # [cell, node of the cell]
+    corner: wp.array2d(dtype=wp.vec3d),  # [cell, corner], gradient of the barycentric coordinate [1/m]
+    volume: wp.array(dtype=wp.float64),  # [cell] [m3]
+    # element: derivatives of the shape functions by barycentric coordinates, shares of the volume
+    reference: wp.array3d(dtype=wp.float64),  # [point, node of the cell, corner]
+    share: wp.array(dtype=wp.float64),  # [point]
+    # law
+    moduli: wp.array2d(dtype=wp.float64),  # [cell, 2]: kappa, mu [Pa]
+    terms: wp.array2d(dtype=wp.float64),  # [term, 2]: s, alpha
+    powers: wp.array(dtype=wp.float64),  # [power - 2]: c
+    # state
+    displacement: wp.array(dtype=wp.vec3d),  # [node] [m]
+    offset: int,
+    # out
+    energy_out: wp.array(dtype=wp.float64),  # [cell] [J]
+    force_out: wp.array2d(dtype=wp.vec3d),  # [cell, node of the cell], derivative of the energy [N]
+):
+    """Energy of each cell and its derivative by the positions of the cell's nodes."""
+    cell = wp.tid() + offset
+    for a in range(nodes.shape[1]):
+        force_out[cell, a] = wp.vec3d()
+    energy = wp.float64(0.0)
+    for q in range(share.shape[0]):
+        f = deformation(cell, q, nodes, reference, corner, displacement)
+        weight = share[q] * volume[cell]
+        if wp.determinant(f) <= ZERO:
+            energy = wp.float64(wp.INF)
+        else:
+            stretch, v = stretches_of(f)
+            density, slope, _curvature = derivatives(stretch, moduli[cell, 1], moduli[cell, 0], terms, powers)
+            energy += weight * density
+            stress = f * v * wp.diag(wp.cw_div(slope, wp.cw_mul(stretch, stretch))) * wp.transpose(v)
+            for a in range(nodes.shape[1]):
+                force_out[cell, a] = force_out[cell, a] + weight * (stress * gradient_of(cell, q, a, reference, corner))
+    energy_out[cell] = energy
+
+
+@wp.func
+def pair_moduli(stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d):
+    """Moduli of changes of the shear ij along itself and along its transpose, symmetric, the diagonals unused."""
+    along = wp.mat33d()
+    across = wp.mat33d()
+    for i in range(3):
+        for j in range(3):
+            if i != j:
+                a = stretch[i]
+                b = stretch[j]
+                stretching = HALF * (second[i, i] + second[j, j]) - second[i, j]
+                if wp.abs(a - b) >= EQUAL * (a + b):
+                    stretching = (first[i] - first[j]) / (a - b)
+                turning = (first[i] + first[j]) / (a + b)
+                along[i, j] = HALF * (stretching + turning)
+                across[i, j] = HALF * (stretching - turning)
+    return along, across
+
+
+@wp.kernel
+def stretch_stiffness(
+    # pairs a <= b of a cell's nodes
+    pair_first: wp.array(dtype=wp.int32),
+    pair_second: wp.array(dtype=wp.int32),
+    # mesh
+    nodes: wp.array2d(dtype=wp.int32),
+    corner: wp.array2d(dtype=wp.vec3d),
+    volume: wp.array(dtype=wp.float64),
+    # element
+    reference: wp.array3d(dtype=wp.float64),
+    share: wp.array(dtype=wp.float64),
+    # law
+    moduli: wp.array2d(dtype=wp.float64),
+    terms: wp.array2d(dtype=wp.float64),
+    powers: wp.array(dtype=wp.float64),
+    # state, no cell of it turned over
+    displacement: wp.array(dtype=wp.vec3d),
+    offset: int,
+    # out
+    block_out: wp.array2d(dtype=wp.mat33d),  # [cell, pair] [N/m]
+):
+    """Tangent stiffness of each cell, its upper triangle of blocks."""
+    cell = wp.tid() + offset
+    for pair in range(pair_first.shape[0]):
+        block_out[cell, pair] = wp.mat33d()
+    for q in range(share.shape[0]):
+        f = deformation(cell, q, nodes, reference, corner, displacement)
+        weight = share[q] * volume[cell]
+        stretch, v = stretches_of(f)
+        _energy, slope, curvature = derivatives(stretch, moduli[cell, 1], moduli[cell, 0], terms, powers)
+        first = wp.cw_div(slope, stretch)
+        second = wp.cw_div(curvature, wp.outer(stretch, stretch)) - wp.diag(wp.cw_div(first, stretch))
+        along, across = pair_moduli(stretch, first, second)
+        u = f * v * wp.diag(wp.cw_div(wp.vec3d(ONE, ONE, ONE), stretch))
+        for pair in range(pair_first.shape[0]):
+            g_a = wp.transpose(v) * gradient_of(cell, q, pair_first[pair], reference, corner)
+            g_b = wp.transpose(v) * gradient_of(cell, q, pair_second[pair], reference, corner)
+            local = wp.mat33d()
+            for i in range(3):
+                for k in range(3):
+                    if i == k:
+                        local[i, i] = local[i, i] + second[i, i] * g_a[i] * g_b[i]
+                    else:
+                        local[i, i] = local[i, i] + along[i, k] * g_a[k] * g_b[k]
+                        local[i, k] = second[i, k] * g_a[i] * g_b[k] + across[i, k] * g_a[k] * g_b[i]
+            block = u * local * wp.transpose(u)
+            if pair_first[pair] == pair_second[pair]:
+                block = HALF * (block + wp.transpose(block))
+            block_out[cell, pair] = block_out[cell, pair] + weight * block

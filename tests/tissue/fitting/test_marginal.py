@@ -1,0 +1,104 @@
+"""The law of one constant against the density summed over a grid, where a normal law of its number is far off."""
+
+import numpy as np
+import pytest
+from cut_logs import forward_along
+
+from tissue.fitting.averaged import block_averages
+from tissue.fitting.forward import LinearForward
+from tissue.fitting.identifiability import identified
+from tissue.fitting.marginal import NEGLIGIBLE, log_density_at
+from tissue.fitting.measured import MeasuredLoads
+from tissue.fitting.parameter import Parameter
+from tissue.fitting.posterior import maximum_posterior
+from tissue.materials.prior import Prior
+
+TIMES_S = 0.01 * np.arange(400)
+WIDE = Prior(0.01, 0.0, 0.1)
+
+
+@pytest.fixture(scope="module", params=[0.02, 0.05, 0.15])
+def posterior(request):
+    """An oscillating load of a constant whose range spans decades, below 0.02 hidden by noise."""
+    basis = np.sin(9.0 * TIMES_S)[:, None, None]
+    forward = LinearForward((Parameter("cutting.bone.k_N_mm", WIDE),), ("force_z_N",), TIMES_S, basis)
+    noise = 0.3 * np.random.default_rng(5).standard_normal((len(TIMES_S), 1))
+    noise -= basis[:, :, 0] * (basis[:, 0, 0] @ noise) / (basis[:, 0, 0] @ basis[:, 0, 0])
+    values = request.param * basis[:, :, 0] + noise
+    return maximum_posterior(forward, MeasuredLoads(TIMES_S, values, ("force_z_N",)))
+
+
+@pytest.fixture(scope="module")
+def summed(posterior):
+    """Quantiles and spread of the number, offset and bias summed over by Gauss-Hermite points as well."""
+    target, u = posterior.target, posterior.maximum
+    places = np.linspace(-5.0, 5.0, 101)
+    points, weights = np.polynomial.hermite_e.hermegauss(9)
+    offset_spread, bias_spread = np.sqrt(np.diag(posterior.covariance)[1:3])
+    logs = np.empty((len(places), 9, 9))
+    for i, z in enumerate(places):
+        for j, a in enumerate(points):
+            for k, b in enumerate(points):
+                moved = u + np.concatenate([[z - u[0], a * offset_spread, b * bias_spread], np.zeros(len(u) - 3)])
+                logs[i, j, k] = target.value(moved) + 0.5 * (a * a + b * b)
+    density = (np.exp(logs - logs.max()) * np.multiply.outer(weights, weights)).sum(axis=(1, 2))
+    density /= density.sum()
+    whole = np.cumsum(density) - 0.5 * density
+    mean = density @ places
+    return np.interp([0.05, 0.5, 0.95], whole, places), np.sqrt(density @ (places - mean) ** 2)
+
+
+def test_quantiles_and_spread(posterior, summed):
+    quantiles, spread = summed
+    found = posterior.marginals[0]
+    assert found.quantiles == pytest.approx(quantiles, abs=0.03)
+    assert found.spread == pytest.approx(spread, rel=0.02)
+
+
+def test_a_normal_law_would_call_a_hidden_constant_known(posterior, summed):
+    """Where the load is in the noise, the normal law about the maximum is too narrow."""
+    laplace, spread = posterior.covariance[0, 0] ** 0.5, summed[1]
+    if posterior.maximum[0] < 1.5:
+        assert laplace < 0.9 * spread
+        assert identified(posterior).determined == ()
+    else:
+        assert laplace == pytest.approx(spread, rel=0.2)
+
+
+def test_constants_known_only_by_their_sum():
+    """What is left of two ranges that span decades is the product of their laws along the line of the sum."""
+    priors, total = (Prior(0.01, 0.0, 0.1), Prior(0.03, 0.005, 0.2)), 0.06
+    basis = np.sin(9.0 * TIMES_S)[:, None, None]
+    names = [Parameter(f"cutting.bone.{name}_N_mm", prior) for name, prior in zip("ab", priors, strict=True)]
+    forward = LinearForward(tuple(names), ("force_z_N",), TIMES_S, np.repeat(basis, 2, axis=2))
+    noise = 2e-4 * np.random.default_rng(3).standard_normal((len(TIMES_S), 1))
+    posterior = maximum_posterior(forward, MeasuredLoads(TIMES_S, total * basis[:, :, 0] + noise, ("force_z_N",)))
+    z = np.linspace(-8.0, 8.0, 200_001)
+    first = priors[0].x(z)
+    z, first = z[first < total], first[first < total]
+    other = priors[1].z(total - first)
+    density = np.exp(-0.5 * (z**2 + other**2)) / priors[1].slope(other)
+    whole = np.cumsum(density * np.gradient(z))
+    expected = np.interp(np.array([0.05, 0.5, 0.95]) * whole[-1], whole, z)
+    assert posterior.marginals[0].quantiles == pytest.approx(expected, abs=0.05)
+
+
+def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
+    """Where others follow a constant along a curve, straight ahead is far from it."""
+    forward = forward_along([[-1, 0, 0.2], [-1, 0, -0.3], [1, 0, -0.8], [1, 1, -0.8]], [0.0, 0.1, 0.4, 0.5])
+    loads = forward.loads(np.array([each.prior.value for each in forward.parameters]))[:, :3]
+    loads += 0.002 * np.abs(loads).max() * np.random.default_rng(1).standard_t(4, loads.shape)
+    forward, log = forward.averaged_as(block_averages(forward.times_s, loads, forward.channels[:3], 5))
+    posterior = maximum_posterior(forward, log)
+    target, maximum, covariance = posterior.target, posterior.maximum, posterior.covariance
+    compared = 0
+    for at in range(len(forward.parameters)):
+        top, spread = log_density_at(target, maximum, at)[0], covariance[at, at] ** 0.5
+        for step in (-2.0 * spread, 2.0 * spread):
+            along = log_density_at(target, maximum + step * covariance[:, at] / covariance[at, at], at)[0] - top
+            straight = log_density_at(target, maximum + step * np.eye(target.size)[at], at)[0] - top
+            if along > -NEGLIGIBLE:
+                assert straight == pytest.approx(along, abs=0.1)
+                assert along > -0.5 * 2.0**2 - 3.0
+                compared += 1
+    assert compared >= 10

@@ -1,0 +1,97 @@
+"""Loads of an organ by its constants: proportional to all moduli together, against closed forms and runs."""
+
+import numpy as np
+import pytest
+
+from tissue.fitting.organ_constants import organ_parameters
+from tissue.fitting.organ_forward import OrganForward
+from tissue.fitting.organ_runs import OrganRuns, Poses
+from tissue.fitting.parameter import Parameter
+from tissue.materials.prior import Prior
+from tissue.scene.load import load_scene
+
+FIRST, SECOND, FRICTION = 5.0, 50.0, 0.3
+SLAB = {
+    "anatomy.size_mm": [40, 30, 15], "anatomy.nodule_diameter_mm": None, "anatomy.edge_mm": 10.0,
+    "anatomy.touch_edge_mm": 6.0, "organ.parts": None, "organ.interval_ms": 0.0, "motion.points_mm": [[0, 0, 1], [0, 0, -1]],
+}  # fmt: skip
+POSES = Poses(
+    np.array([0.0, 0.1, 0.3]), 1e-3 * np.array([[-4, 0, 0.5], [-4, 0, -2], [4, 0, -2]]), np.tile([0.0, 0, 0, 1], (3, 1))
+)
+
+
+def closed(x):
+    """Loads of springs in parallel with friction, which multiplies them, and an effect of the logarithm of a time."""
+    base = np.arange(1.0, 7.0).reshape(3, 2)
+    return base * x[0] + base**2 * x[1] + x[0] * base * (3.0 * x[2] - x[2] ** 2 + 0.5 * np.log(x[3]) ** 2)
+
+
+def forward(moduli):
+    """Slopes and curvatures of the closed form, written down."""
+    names = ("organ.young_kPa", "organ.young_end_kPa", "organ.friction", "soft.liver.prony_tau1_s")
+    at = np.array([FIRST, SECOND, FRICTION, 0.5])
+    parameters = tuple(
+        Parameter(name, Prior(value, 0.5 * value, 2.0 * value)) for name, value in zip(names, at, strict=True)
+    )
+    base = np.arange(1.0, 7.0).reshape(3, 2)
+    of_first = np.zeros_like(base) if moduli else (closed(at) - base**2 * SECOND) / FIRST
+    slopes = [of_first, base**2, FIRST * base * (3.0 - 2.0 * FRICTION), FIRST * base * np.log(0.5)]
+    curved = [0.0 * base, 0.0 * base, -FIRST * base, 0.5 * FIRST * base]
+    channels = ("force_x_N", "force_z_N")
+    return OrganForward(
+        parameters, channels, np.arange(3.0), moduli, at, closed(at), np.stack(slopes, -1), np.stack(curved, -1)
+    )
+
+
+def test_loads_that_are_proportional_to_all_moduli_need_no_slope_by_the_first():
+    x = np.array([11.0, 20.0, 0.7, 0.2])
+    np.testing.assert_allclose(forward((0, 1)).loads(x), closed(x), rtol=1e-12)
+    assert np.abs(forward(()).loads(x) - closed(x)).max() > 10.0, "friction times modulus is not linear"
+
+
+def test_jacobian_against_differences():
+    x, model = np.array([11.0, 20.0, 0.7, 0.2]), forward((0, 1))
+    for at, step in enumerate(1e-4 * np.eye(4)):
+        expected = (model.loads(x + step) - model.loads(x - step)) / 2e-4
+        np.testing.assert_allclose(model.jacobian(x)[..., at], expected, rtol=1e-6)
+
+
+def test_another_run_corrects_slopes_along_its_step_alone():
+    model = forward((0, 1))
+    wrong = OrganForward(**{**vars(model), "slopes": 0.5 * model.slopes})
+    at = np.array([FIRST, 80.0, FRICTION, 0.5])
+    learnt = wrong.moved(at, closed(at), learnt=0.1)
+    np.testing.assert_allclose(learnt.slopes[..., 1], model.slopes[..., 1], rtol=1e-12)
+    np.testing.assert_allclose(learnt.slopes[..., 2], 0.5 * model.slopes[..., 2], rtol=1e-12)
+    near = np.array([FIRST, 50.1, FRICTION, 0.5])
+    np.testing.assert_array_equal(wrong.moved(near, closed(near), learnt=0.1).slopes, wrong.slopes)
+
+
+def test_slopes_move_with_the_run_along_parabolas():
+    model, at = forward((0, 1)), np.array([FIRST, 80.0, 0.6, 0.8])
+    moved = model.moved(at, closed(at), learnt=0.1)
+    x = np.array([4.0, 90.0, 0.2, 0.3])
+    np.testing.assert_allclose(moved.loads(x), closed(x), rtol=1e-12)
+
+
+@pytest.mark.parametrize("viscous", [False, True])
+def test_the_force_is_proportional_to_all_moduli_of_a_run(viscous):
+    scene = load_scene("palpation", SLAB | {"organ.viscous": viscous})
+    runs = OrganRuns(scene, POSES, ("force_x_N", "force_z_N"), every=2)
+    once, thrice = runs([{"organ.young_kPa": k * 5.0, "organ.young_end_kPa": k * 50.0} for k in (1.0, 3.0)])
+    assert once.shape == (150, 2) and once[-1, 1] > 0.05 and runs.count == 2
+    np.testing.assert_allclose(thrice, 3.0 * once, atol=1e-9 * thrice.max())
+
+
+def test_stated_moduli_are_free_and_scale_together_where_nothing_else_is_stiff():
+    palpation = load_scene("palpation")
+    parameters, moduli = organ_parameters(palpation, ())
+    names = [each.name for each in parameters]
+    assert [names[at] for at in moduli] == ["organ.young_kPa", "organ.young_end_kPa", "organ.parts.nodule"]
+    assert "organ.friction" in names and "soft.liver.modulus_kPa" not in names
+    _, moduli = organ_parameters(palpation, ["organ.young_kPa", "organ.friction"])
+    assert moduli == (), "the nodule keeps its modulus"
+    _, moduli = organ_parameters(load_scene("liver-press", {"organ.gravity": True}), ())
+    assert moduli == (), "the weight does not scale"
+    parameters, moduli = organ_parameters(load_scene("liver-press", {"anatomy.nodule_diameter_mm": 40.0}), ())
+    assert [parameters[at].name for at in moduli] == ["soft.liver.modulus_kPa", "organ.parts.nodule"]

@@ -1,0 +1,67 @@
+"""Constants of an organ and of its contact that a log may determine."""
+
+from collections.abc import Sequence
+
+from tissue.builders.organ import NODULE_KPA, PART_NODULE
+from tissue.fitting.parameter import Parameter, chosen
+from tissue.materials.prior import Prior
+from tissue.scene.organ import SlabAnatomy, SoftAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.used_constants import used_constants
+
+__all__ = ["KEYS", "PART", "organ_parameters"]
+
+KEYS, PART = "organ.", "organ.parts."
+"""Beginning of the names of what is a key of the scene and no constant of a material, and of moduli of parts."""
+FRICTION = (0.25, 2.5)
+"""5 and 95 % of friction between tool and organ, over the scene's: wet tissue on metal 0.1 to 0.6 (from memory of the
+literature)."""
+MODULUS = (1.0 / 3.0, 3.0)
+"""Likewise of a modulus that the scene states: as liver scatters in tissue/materials/soft.toml."""
+
+
+def organ_parameters(scene: Scene, free: Sequence[str]) -> tuple[tuple[Parameter, ...], tuple[int, ...]]:
+    """What is free, and the places of the moduli to which loads are proportional together.
+
+    There are no such moduli where the organ hangs in its own weight, or a modulus beside the free ones is fixed.
+
+    Raises
+    ------
+    InputError
+        If `free` names something else.
+    """
+    cited, stiffnesses = _cited(scene)
+    stated = _stated(scene)
+    stiffnesses |= {each.name for each in stated if each.name != "organ.friction"}
+    parameters = tuple(chosen(free, [*cited, *stated]))
+    places = tuple(at for at, each in enumerate(parameters) if each.name in stiffnesses)
+    together = len(places) == len(stiffnesses) and not scene.organ.gravity
+    return parameters, places if together else ()
+
+
+def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
+    """Constants of the organ's material that the scene does not state, and the names of all moduli among them."""
+    used = [each for each in used_constants(scene, ()) if each.full.startswith("soft.") and each.stated is None]
+    free = [Parameter(each.full, Prior.of(each.cited, each.full)) for each in used if each.cited.low < each.cited.high]
+    return free, {each.full for each in used if each.name == "modulus_kPa"}
+
+
+def _stated(scene: Scene) -> list[Parameter]:
+    """Friction and moduli that are keys of the scene; a ball of another stiffness has one of its own."""
+    organ, anatomy = scene.organ, scene.anatomy
+    assert isinstance(anatomy, SoftAnatomy)
+    parts = dict(organ.parts or {})
+    procedural = isinstance(anatomy, SlabAnatomy) or getattr(anatomy, "file", None) is None
+    if procedural and anatomy.nodule_diameter_mm > 0.0:
+        parts.setdefault(PART_NODULE, NODULE_KPA)
+    found = {"organ.young_kPa": organ.young_kPa, "organ.young_end_kPa": organ.young_end_kPa}
+    found |= {f"{PART}{name}": modulus for name, modulus in parts.items()}
+    moduli = [
+        Parameter(name, Prior(value, MODULUS[0] * value, MODULUS[1] * value))
+        for name, value in found.items()
+        if value is not None
+    ]
+    friction = organ.friction
+    if friction == 0.0:
+        return moduli
+    return [*moduli, Parameter("organ.friction", Prior(friction, FRICTION[0] * friction, FRICTION[1] * friction))]
