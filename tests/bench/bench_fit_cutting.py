@@ -101,7 +101,9 @@ def main() -> None:
                 seconds.append(took)
                 converged += found
                 if len(seconds) % 50 == 0:
-                    print(f"{len(seconds)} fits, {hits['all identified']} of {counts['all identified']} held", flush=True)
+                    print(
+                        f"{len(seconds)} fits, {hits['all identified']} of {counts['all identified']} held", flush=True
+                    )
                 for name, inside in held:
                     kinds = ["constants"] if name.startswith("constant ") else []
                     for each in (name, *kinds, *([] if name == "offset" else ["all identified"])):

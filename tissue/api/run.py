@@ -112,6 +112,7 @@ class Run(RunData):
         seed: int | None = None,
         workers: int | None = None,
         scheduler: str | None = None,
+        each_run: bool = False,
         compute: str = "cpu",
         cores: int | None = None,
         pictures: bool | str = True,
@@ -130,6 +131,8 @@ class Run(RunData):
             that asks for several must begin below ``if __name__ == "__main__":``.
         scheduler
             ``dask://ADDRESS`` of a Dask scheduler, whose workers run samples instead.
+        each_run
+            Run every sample where reweighing the loads would do, so that temperature and stress have bands too.
         compute, cores, progress
             As for `tissue.simulate`.
         pictures
@@ -152,8 +155,8 @@ class Run(RunData):
 
         with reporting(progress) as report:
             made = band_of(
-                self.scene, samples, seed=seed, workers=workers, scheduler=scheduler, compute=compute, cores=cores,
-                progress=report,
+                self.scene, samples, seed=seed, workers=workers, scheduler=scheduler, each_run=each_run,
+                compute=compute, cores=cores, progress=report,
             )  # fmt: skip
         require_same(
             made, np.hstack([self.trace.vectors("model_force", "N"), self.trace.vectors("model_torque", "Nm")])

@@ -36,6 +36,7 @@ def run(
     band: Annotated[int | None, Parameter(converter=whole)] = None,
     workers: Annotated[int | None, Parameter(converter=whole)] = None,
     scheduler: str | None = None,
+    each_run: Annotated[bool, Parameter(negative="")] = False,
     live: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
@@ -73,6 +74,8 @@ def run(
         Processes that run the samples of a band beside each other, where each is a run of its own.
     scheduler
         dask://ADDRESS: run the samples of a band on the workers of that Dask scheduler instead.
+    each_run
+        Run every sample of a band where reweighing the loads would do, so that temperature and stress have bands too.
     live
         Run against the wall clock, in a window with mouse and keys as device, or without a display scripted.
     overwrite
@@ -93,9 +96,10 @@ def run(
         left_out("with --live", "run the scene without it", band=band if live else None)
         from tissue.uncertainty.band import require_band
 
-        require_band(loaded, band, workers, scheduler)
+        require_band(loaded, band, workers, scheduler, each_run=each_run)
     else:
-        left_out("without --band", "give --band 200, or remove it", workers=workers, scheduler=scheduler)
+        given: dict[str, object] = {"workers": workers, "scheduler": scheduler, "each_run": each_run}
+        left_out("without --band", "give --band 200, or remove it", **given)
     folder = out or Path("runs") / loaded.name
     RunFolder.check(folder, overwrite=overwrite)
     started = perf_counter()
@@ -111,8 +115,8 @@ def run(
             with progress() as report:
                 drawn = False if no_pictures else pictures
                 finished.band(
-                    band, workers=workers, scheduler=scheduler, compute=compute, cores=cores, pictures=drawn,
-                    progress=report,
+                    band, workers=workers, scheduler=scheduler, each_run=each_run, compute=compute, cores=cores,
+                    pictures=drawn, progress=report,
                 )  # fmt: skip
     _print_summary(finished.summary, folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
 

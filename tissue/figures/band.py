@@ -128,7 +128,7 @@ def draw_sobol(indices: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Pat
     chart.subplots_adjust(left=0.27, right=0.98, top=1.0 - 0.85 / height, bottom=0.5 / height, hspace=0.25, wspace=0.08)
     for axes, (figure_name, of) in zip(panels.ravel(), indices.items(), strict=False):
         _bars(axes, [of[group] for group in shown])
-        axes.set_title(WORDS.get(figure_name, figure_name), size=9.5, loc="left")
+        axes.set_title(WORDS.get(figure_name) or UNIT.sub("", figure_name).replace("_", " "), size=9.5, loc="left")
         axes.set_yticks(range(len(shown)), [_label(group) for group in shown])
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="x", color="0.92", linewidth=0.6)

@@ -12,23 +12,21 @@ from tissue.scene.scene import Scene
 from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.simulate import simulate
-from tissue.uncertainty.figures import LEVELS, LOADS, Figure, intervals, table_of
+from tissue.uncertainty.band_summary import about, without
+from tissue.uncertainty.figures import GREATEST, LEVELS, LOADS, Figure, intervals, table_of
 from tissue.uncertainty.rerun import Workers, ranges_of, reruns
-from tissue.uncertainty.reweighed import Reweighed, with_sizes
+from tissue.uncertainty.reweighed import Reweighed, density_prior, with_sizes
 from tissue.uncertainty.sample import Ranges, normals, rounded
 from tissue.uncertainty.sample_files import sample_name, sample_text
-from tissue.uncertainty.sobol import SobolIndices, sobol_indices
+from tissue.uncertainty.sobol import sobol_indices
 from tissue.uncertainty.span import over_time
 from tissue.uncertainty.surrogate import surrogate_indices
 
-__all__ = ["HOW", "Band", "band_of", "require_band", "require_same"]
+__all__ = ["Band", "band_of", "require_band", "require_same"]
 
 HOW = "the geometry was recorded once and reweighed, for the force is linear in the coefficients and the path is given"
 HOW_RERUN = "every sample was run, for the force is not linear in the constants or moves the tool"
-SAME_EVERYWHERE = (
-    "does not vary with the constants: the path is given, so that the run's own figure holds in every sample"
-)
-NEEDS_RUNS = "has no band: it depends on constants, and the loads alone were reweighed"
+HOW_ASKED = "every sample was run, as was asked for"
 MOST_FAILED = 0.1
 """Greatest share of samples that may fail: beyond it the ends of a 90 % band would be those of what is left."""
 SAME = 1e-5
@@ -77,22 +75,31 @@ class Band:
         return f"<tissue Band of {len(self.values)} samples, peak force {peak['p05']:.3g} to {peak['p95']:.3g} N>"
 
 
-def require_band(scene: Scene, asked: int, workers: int | None, scheduler: str | None = None) -> None:
+def require_band(
+    scene: Scene, asked: int, workers: int | None, scheduler: str | None = None, *, each_run: bool = False
+) -> None:
     """Refuse options of a band that cannot be met, before the scene is run.
 
     Raises
     ------
     InputError
         If the number of samples is none of 16 to 65536, or processes are asked for where nothing is run again, or
-        beside a scheduler.
+        beside a scheduler, or a run of each sample where that is done anyhow.
     """
     rounded(asked)
+    is_linear = not why_not_linear(scene)
+    if each_run and not is_linear:
+        raise InputError(
+            "each_run must be left out of a scene whose loads cannot be reweighed, got one where "
+            f"{why_not_linear(scene)}: every sample is a run of its own"
+        )
     if workers is not None:
         require_range("workers", workers, 1, 4096, "use one a core")
     for name, given in (("workers", workers), ("scheduler", scheduler)):
-        if given is not None and not why_not_linear(scene):
+        if given is not None and is_linear and not each_run:
             raise InputError(
-                f"{name} must be left out where the geometry is recorded once and reweighed, got {given}: remove it"
+                f"{name} must be left out where the geometry is recorded once and reweighed, got {given}: remove it, "
+                "or ask for a run of each sample (each_run)"
             )
     if workers is not None and scheduler is not None:
         raise InputError(f"workers must be left out with a scheduler, which has its own, got {workers}: remove it")
@@ -105,6 +112,7 @@ def band_of(
     seed: int | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
+    each_run: bool = False,
     compute: str = "cpu",
     cores: int | None = None,
     progress: Progress | None = None,
@@ -123,6 +131,8 @@ def band_of(
         Processes that run samples beside each other, where each is a run of its own.
     scheduler
         ``dask://ADDRESS`` of a Dask scheduler instead of own processes.
+    each_run
+        Whether every sample is run where reweighing would do, for what is not linear: temperature and stress.
     compute, cores, progress
         As for `tissue.simulate`.
 
@@ -132,9 +142,9 @@ def band_of(
         As `require_band`, if no constant has a range, or more than a tenth of the samples fail.
     """
     report = progress or silent
-    require_band(scene, asked, workers, scheduler)
+    require_band(scene, asked, workers, scheduler, each_run=each_run)
     seed = scene.seed if seed is None else seed
-    if why_not_linear(scene):
+    if each_run or why_not_linear(scene):
         where = Workers(workers or 1, scheduler, compute)
         return _rerun(scene, asked, seed, workers=where, cores=cores, report=report)
     reweighed = Reweighed(record_loads(scene, compute=compute, cores=cores, progress=progress))
@@ -148,15 +158,21 @@ def band_of(
     report("computing Sobol indices", 0.5)
     indices = sobol_indices(lambda free: reweighed.figures(ranges.x(free)), ranges.groups, count=SOBOL_ROWS, seed=seed)
     files = tuple(sample_text(record.scene.constants, ranges.names, each) for each in values)
-    summary = _summary(asked, seed, HOW, ranges, indices) | intervals(LOADS, figures)
-    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": _without(scene)}
+    summary = about(asked, seed, HOW, ranges, indices) | intervals(LOADS, figures)
+    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": without(scene)}
     numbers = np.arange(len(files))
     return Band(record.times_s, nominal, quantiles, ranges.names, values, LOADS, figures, numbers, files, summary)
 
 
 def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int | None, report: Progress) -> Band:
     """A band each of whose samples is a run of its own."""
-    trace = simulate(scene, compute=workers.compute, cores=cores, progress=report).trace
+    run = simulate(scene, compute=workers.compute, cores=cores, progress=report)
+    trace, is_linear = run.trace, not why_not_linear(scene)
+    if density_prior(run.parts.notes.get("density law", "")) is not None and is_linear:
+        raise InputError(
+            "each_run must be left out where the density of an image varies within its law's band, which a file of "
+            "materials cannot hold: reweigh the loads, whose density does vary"
+        )
     nominal = with_sizes(np.hstack([trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")]))
     ranges = ranges_of(scene, trace.layer_names)
     _require_ranges(ranges)
@@ -176,11 +192,17 @@ def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int 
     times_s = trace["time_s"]
     quantiles, span = over_time([loads for loads, _ in held], times_s)
     names, figures = table_of([each for _, each in held])
-    indices, explained = surrogate_indices(free[kept], figures[:, : len(LOADS)], ranges.groups, seed=seed)
-    summary = _summary(asked, seed, HOW_RERUN, ranges, indices) | intervals(names, figures)
+    explaining = [at for at, name in enumerate(names) if name in LOADS or name[0].startswith(GREATEST)]
+    explained_names = tuple(names[at] for at in explaining)
+    indices, explained = surrogate_indices(free[kept], figures[:, explaining], ranges.groups, seed=seed)
+    summary = about(asked, seed, HOW_ASKED if is_linear else HOW_RERUN, ranges, indices, explained_names) | intervals(
+        names, figures
+    )
     summary |= {"samples": len(kept), "failed": len(problems), "problems": problems, "span": span}
     summary["surrogate_explains"] = {
-        ".".join(name): float(share) for name, share in zip(LOADS, explained, strict=True) if np.isfinite(share)
+        ".".join(name): float(share)
+        for name, share in zip(explained_names, explained, strict=True)
+        if np.isfinite(share)
     }
     last = quantiles.shape[1]
     return Band(
@@ -191,27 +213,6 @@ def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int 
 def _require_ranges(ranges: Ranges) -> None:
     if not ranges.names:
         raise InputError("band must be of a scene that rests on constants with a range, got none: leave it out")
-
-
-def _summary(asked: int, seed: int, how: str, ranges: Ranges, indices: SobolIndices) -> Summary:
-    return {
-        "asked": asked,
-        "seed": seed,
-        "how": how,
-        "constants": _constants(ranges),
-        "sobol": _indices(indices, ranges),
-    }
-
-
-def _without(scene: Scene) -> dict[str, str]:
-    """What has no interval where loads are reweighed, and why."""
-    names = ["removed_mm3", "contact_share"] + ["keep_clear"] * (scene.keep_clear is not None)
-    found = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
-    if scene.heat:
-        found |= dict.fromkeys(("greatest_pulp_rise_K", "events"), NEEDS_RUNS)
-    if scene.stress is not None:
-        found["stress"] = NEEDS_RUNS
-    return found
 
 
 def require_same(band: Band, loads: Array) -> None:
@@ -238,27 +239,3 @@ def require_same(band: Band, loads: Array) -> None:
             raise InputError(
                 "band must be of a run whose scene is as it was, got other loads from the same scene: run it again"
             )
-
-
-def _constants(ranges: Ranges) -> dict[str, dict[str, float]]:
-    return {
-        name: {"value": prior.value, "low": prior.low, "high": prior.high}
-        for name, prior in zip(ranges.names, ranges.priors, strict=True)
-    }
-
-
-def _indices(found: SobolIndices, ranges: Ranges) -> dict[str, dict[str, dict[str, object]]]:
-    """Indices by figure and group; none of a figure that does not vary."""
-    return {
-        ".".join(figure): {
-            group: {
-                "first": float(found.first[row, column]),
-                "first_90": found.first_ends[:, row, column].tolist(),
-                "total": float(found.total[row, column]),
-                "total_90": found.total_ends[:, row, column].tolist(),
-            }
-            for row, group in enumerate(ranges.group_names)
-        }
-        for column, figure in enumerate(LOADS)
-        if np.isfinite(found.total[:, column]).all()
-    }

@@ -5,10 +5,11 @@ import re
 import numpy as np
 
 from meshes.base.arrays import Array
+from tissue.models.tooth.model import SLOW_SOLVE
 from tissue.simulation.run import Run
 from tissue.simulation.run_summary import Summary
 
-__all__ = ["LEVELS", "LOADS", "Figure", "figures_of", "intervals", "table_of"]
+__all__ = ["GREATEST", "LEVELS", "LOADS", "Figure", "figures_of", "intervals", "table_of"]
 
 Figure = tuple[str, ...]
 """Name of a figure: its place in ``summary.json``, entry by entry; of an event ``events``, a sentence, ``time_s``."""
@@ -20,14 +21,15 @@ LOADS: tuple[Figure, ...] = tuple(
 """Figures that every run has, the first columns of a table; Sobol indices are of these."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
 """A measured number in the sentence of an event; a percentage is a threshold, by which two events differ."""
-PEAKS = ("_K", "_MPa")
-"""Endings of the columns of a trace whose greatest value is a figure: temperature and stress."""
+PEAKS, STRESS, GREATEST = "_K", "von_mises_", "greatest_"
+"""Ending of columns of a trace (temperatures), and begin of fields, whose greatest value is a figure; how it begins."""
 
 
 def figures_of(run: Run) -> dict[Figure, float]:
-    """Figures of a run: loads, volumes, share of the time in contact, what is kept clear, temperature, and events.
+    """Figures of a run: loads, volumes, contact, what is kept clear, greatest temperature and stress, and events.
 
-    An event is named by its sentence without numbers, and counts the first time that it happens.
+    An event is named by its sentence without numbers, and counts the first time that it happens; what the machine was
+    too slow for is none.
     """
     summary, trace = run.summary, run.trace
     found: dict[Figure, float] = {name: summary[name[0]][name[1]] for name in LOADS}
@@ -37,10 +39,18 @@ def figures_of(run: Run) -> dict[Figure, float]:
         found |= {("keep_clear", structure, name): value for name, value in figures.items() if value is not None}
     for name in run.parts.tissue.measure_names:
         if name.endswith(PEAKS):
-            found[f"greatest_{name}",] = float(trace[name].max())
+            found[f"{GREATEST}{name}",] = float(trace[name].max())
+    if (fields := run.parts.fields) is not None:
+        for frame in fields.frames:
+            for name, values in frame.cells.items():
+                if name.startswith(STRESS) and np.isfinite(values).any():
+                    greatest = f"{GREATEST}{name}"
+                    found[greatest,] = max(found.get((greatest,), 0.0), float(np.nanmax(values)))
     for first in summary.get("break_through", ())[:1]:
         found |= {("break_through", name): value for name, value in first.items()}
     for event in summary["events"]:
+        if event["what"].startswith(SLOW_SOLVE):
+            continue
         found.setdefault(("events", NUMBER.sub("…", event["what"]), "time_s"), event["time_s"])
     return found
 

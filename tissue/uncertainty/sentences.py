@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 from tissue.simulation.run_summary import Summary
+from tissue.uncertainty.figures import GREATEST
 
 __all__ = ["band_lines"]
 
@@ -21,6 +22,10 @@ def _band_text(band: Summary) -> str:
 def band_lines(band: Summary) -> Iterator[str]:
     """How a band was made, its further figures with their 90 % intervals, and what became of its samples."""
     yield _band_text(band)
+    for name, ends in band.items():
+        if name.startswith(GREATEST):
+            quantity, _, unit = name.removeprefix(GREATEST).rpartition("_")
+            yield f"greatest {quantity.replace('_', ' ')}: 90 % {_between(ends)} {unit}"
     for layer, ends in band.get("removed_mm3", {}).items():
         if ends["p95"] > 0.0:
             yield f"removed {layer}: 90 % {_between(ends)} mm³"
@@ -32,7 +37,10 @@ def band_lines(band: Summary) -> Iterator[str]:
         names = ", ".join(name for name, why in band["without"].items() if "not vary" in why)
         yield f"on a given path these do not vary: {names}"
         if names := ", ".join(name for name, why in band["without"].items() if "not vary" not in why):
-            yield f"these depend on the constants and have no band, for the loads alone were reweighed: {names}"
+            yield (
+                "these depend on the constants and have no band, for the loads alone were reweighed (--each-run gives "
+                f"one): {names}"
+            )
     for name, why in band["problems"].items():
         yield f"{name} failed and is left out: {why}"
     if (span := band.get("span")) is not None and span["shortest_sample_s"] < span["run_ends_s"] - 0.5e-3:

@@ -8,9 +8,11 @@ from itertools import count
 import numpy as np
 import pytest
 from scene_kinds import kinds, write_files
+from scipy.stats import spearmanr
 
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
+from tissue.scene.load import load_scene
 from tissue.scene.scene import Scene
 from tissue.simulation.simulate import simulate
 from tissue.uncertainty import rerun
@@ -55,6 +57,25 @@ def test_events_differ_by_their_thresholds_and_not_by_what_was_measured():
     )
     assert NUMBER.sub("…", first) == "pressed … mm deep: more than 5% off"
     assert NUMBER.sub("…", second) == "pressed … mm deep: more than 10% off"
+
+
+@pytest.mark.slow
+def test_runs_of_each_sample_give_temperature_and_stress_a_band():
+    """Both follow the force, so that they are wider apart than the pulp's rise and the stress of one sample."""
+    changes = {"voxels.spacing_mm": 0.15, "stress.cell_mm": 0.6, "duration_s": 0.7, "heat": True}
+    scene = load_scene("caries", changes)
+    band = band_of(scene, 16, each_run=True)
+    stress, peak = band.summary["greatest_von_mises_MPa"], band.summary["force_N"]["peak"]
+    assert 0.0 < stress["p05"] < 0.7 * stress["p95"]
+    assert 0.0 < band.summary["greatest_pulp_rise_K"]["p05"] < 0.7 * band.summary["greatest_pulp_rise_K"]["p95"]
+    assert "without" not in band.summary
+    sizes = band.figures[
+        :, [band.figure_names.index(name) for name in (("force_N", "peak"), ("greatest_von_mises_MPa",))]
+    ]
+    assert spearmanr(*sizes.T).statistic > 0.5, "the stress is that of the force"
+    reweighed = band_of(scene, 16).summary
+    assert set(reweighed["without"]) >= {"stress", "greatest_pulp_rise_K"}
+    assert peak["p50"] == pytest.approx(reweighed["force_N"]["peak"]["p50"], rel=0.5), "16 samples"
 
 
 def failing(monkeypatch, which):
