@@ -36,10 +36,9 @@ def worker_pool(workers: int) -> Iterator[Executor]:
         yield pool
         pool.shutdown()
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
         for child in set(multiprocessing.active_children()) - others:
             child.kill()  # one that was stopped would not take a request to end
-            child.join()
+        pool.shutdown(cancel_futures=True)  # its thread takes leave of them: two that do would miss each other
         for name, value in kept.items():
             os.environ.pop(name)
             if value is not None:
