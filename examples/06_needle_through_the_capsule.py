@@ -9,8 +9,8 @@ per metre of needle in the organ. The vessel wall, 30 mm deep in the organ, brea
 Drawn back, the shaft sticks over 32.6 mm before it slides, and pulls with up to 1.91 N. The second insertion costs 59 %
 of the first one's work: nothing is punctured and nothing cut. The numbers of liver are a published fit to one needle
 (Okamura 2004), those of the vessel wall have no source (`tissue/materials/needle.toml`): the curve is fitted, not
-predicted. Over their ranges 90 % of punctures lie between 13.7 and 20.2 mm (`tissue run needle --band 200`), and nine in
-ten wall forces between 2.4 and 4.2 N, median 3.1 N (the same with this example's `changes` and `--band 128`).
+predicted. Over their ranges 90 % of punctures lie between 13.7 and 20.2 mm (`tissue run needle --band 200`), and 90 %
+of wall forces between 2.4 and 4.2 N, median 3.1 N (the same with this example's `changes` and `--band 128`).
 """
 
 from pathlib import Path

@@ -47,6 +47,8 @@ class NonlinearBody:
         makes them; None for a hyperelastic law, which has its own constants.
     law
         Elastic law.
+    cell_factors
+        What the moduli of a hyperelastic law are multiplied by in each cell, shape (m,); None for 1.
 
     Raises
     ------
@@ -54,7 +56,9 @@ class NonlinearBody:
         If the constants have another shape or are not those of a stable material, or are given twice.
     """
 
-    def __init__(self, space: Space, lame_Pa: ArrayLike | None, *, law: Law | Hyperelastic) -> None:
+    def __init__(
+        self, space: Space, lame_Pa: ArrayLike | None, *, law: Law | Hyperelastic, cell_factors: Array | None = None
+    ) -> None:
         self.space, self.law = space, law
         self.nodes_m, device = space.nodes_m, space.device
         count, width = space.cell_nodes.shape
@@ -83,7 +87,8 @@ class NonlinearBody:
         if isinstance(law, Hyperelastic):
             force, stiffness = tet_hyperelastic.stretch_force, tet_hyperelastic.stretch_stiffness
         constants = [
-            put(part, wp.float64) if isinstance(part, np.ndarray) else part for part in _constants(lame_Pa, law, count)
+            put(part, wp.float64) if isinstance(part, np.ndarray) else part
+            for part in _constants(lame_Pa, law, count, cell_factors)
         ]
         model: list[object] = [
             put(space.cell_nodes.astype(np.int32)), *space.gradients, put(reference, wp.float64),
@@ -117,14 +122,22 @@ class NonlinearBody:
         return bsr_array((self._blocks.numpy().copy(), pattern.column, pattern.row_start), shape=(size, size))
 
 
-def _constants(lame_Pa: ArrayLike | None, law: Law | Hyperelastic, count: int) -> tuple[int | Array, ...]:
+def _constants(
+    lame_Pa: ArrayLike | None, law: Law | Hyperelastic, count: int, factors: Array | None
+) -> tuple[int | Array, ...]:
     """What the law's kernels take: its number and Lame constants, or moduli, terms and powers."""
     if isinstance(law, Hyperelastic):
         if lame_Pa is not None:
             raise InputError("lame_Pa must be None for a hyperelastic law, which has its own constants: leave it out")
-        moduli = np.tile([law.bulk_Pa, law.shear_Pa], (count, 1))
-        shares = np.array(law.terms) / [law.shear_Pa, 1.0]
-        return moduli, shares, np.array(law.powers_Pa) / law.shear_Pa
+        each = np.ones(count) if factors is None else np.asarray(factors, dtype=np.float64)
+        if each.shape != (count,) or not (each > 0.0).all():
+            raise InputError(
+                f"cell_factors must be positive, shape ({count},), got shape {each.shape}: give one a cell"
+            )
+        moduli = np.outer(each, [law.bulk_Pa, law.shear_Pa])
+        return moduli, np.array(law.terms) / [law.shear_Pa, 1.0], np.array(law.powers_Pa) / law.shear_Pa
+    if factors is not None:
+        raise InputError("cell_factors must be None without a hyperelastic law, got some: give lame_Pa of each cell")
     if lame_Pa is None:
         raise InputError("lame_Pa must have shape (2,) or (m, 2), got None: use materials.lame")
     if np.shape(lame_Pa)[-1:] != (2,):

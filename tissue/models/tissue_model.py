@@ -11,6 +11,7 @@ from meshes.base.arrays import Array
 from tissue.fem.fields import FieldSeries
 
 __all__ = [
+    "SLOW",
     "TICK_S",
     "Finishes",
     "FreeSpace",
@@ -27,6 +28,8 @@ __all__ = [
 
 TICK_S = 1e-3
 """Length of a tick [s]."""
+SLOW = "longer than its interval"
+"""Words of the notice that a solve beside the ticks was too slow: of the machine, not of the tissue."""
 
 
 @dataclass

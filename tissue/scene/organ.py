@@ -104,6 +104,16 @@ class Organ(Part):
     """Whether the organ hangs in its own weight, along -z."""
     viscous: bool = False
     """Whether it relaxes by the cited Prony series."""
+    law: Literal["linear", "neo-hookean", "mooney-rivlin", "yeoh", "ogden"] = "linear"
+    """Law of large strains, its small strains by the moduli above; all but the first are solved between ticks."""
+    second_share: float | None = Field(None, ge=0, le=1, examples=[0.3])
+    """Share of the second invariant's term in the shear modulus of a Mooney-Rivlin law."""
+    power_ratios: tuple[float, float] | None = Field(None, examples=[(0.1, 0.01)])
+    """Coefficients of the second and third power of a Yeoh law over that of the first."""
+    exponent: float | None = Field(None, ge=-30, le=30, examples=[8.0])
+    """Exponent of the stretches of an Ogden law of one term; not 0."""
+    law_interval_ms: float = Field(25.0, ge=5, le=1000)
+    """Time between two solves of a law that is not linear."""
     friction: float = Field(0.3, ge=0, le=2)
     """Coulomb friction between tool and organ."""
     order: Literal[1, 2] = 2

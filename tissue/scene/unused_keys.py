@@ -178,11 +178,16 @@ def _organ(scene: "Scene") -> list[Rule]:
     both = "with both organ.young_kPa and organ.poisson_ratio"
     given = organ.young_kPa is not None and organ.poisson_ratio is not None
     cited, path = organ.capsule or organ.gravity or organ.viscous, f"with organ.path = {organ.path}"
+    law = f"with organ.law = {organ.law}"
     rules = [
         ("organ.grading_exponent", organ.young_end_kPa is None, "without a gradient", "set organ.young_end_kPa"),
         ("organ.parts", bare, "without a nodule", ball),
         ("organ.fibre_modulus_ratio", organ.fibre_direction is None, "without fibres", "set organ.fibre_direction"),
         ("organ.fibre_direction", organ.fibre_modulus_ratio == 1.0, "with a ratio of 1", ratio),
+        ("organ.second_share", organ.law != "mooney-rivlin", law, "set organ.law = mooney-rivlin"),
+        ("organ.power_ratios", organ.law != "yeoh", law, "set organ.law = yeoh"),
+        ("organ.exponent", organ.law != "ogden", law, "set organ.law = ogden"),
+        ("organ.law_interval_ms", organ.law == "linear", law, "set organ.law = neo-hookean"),
         ("organ.basis_size", organ.path != "reduced", path, "set organ.path = reduced"),
         ("organ.material", given and not cited, both, "remove one of them"),
         ("anatomy.nodule_centre_mm", anatomy.nodule_diameter_mm == 0.0, "without a nodule", ball),

@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.models.tooth.model import SLOW_SOLVE
+from tissue.models.tissue_model import SLOW
 from tissue.simulation.run import Run
 from tissue.simulation.run_summary import Summary
 
@@ -49,7 +49,7 @@ def figures_of(run: Run) -> dict[Figure, float]:
     for first in summary.get("break_through", ())[:1]:
         found |= {("break_through", name): value for name, value in first.items()}
     for event in summary["events"]:
-        if event["what"].startswith(SLOW_SOLVE):
+        if SLOW in event["what"]:
             continue
         found.setdefault(("events", NUMBER.sub("…", event["what"]), "time_s"), event["time_s"])
     return found

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
-from tissue.fem.fields import FieldSeries, Frame
+from tissue.fem.fields import FieldSeries, Frame, StressState
 from tissue.fem.shapes import EDGES
 from tissue.fem.space import Space
 from tissue.fem.stress import cell_stress
+from tissue.models.organ.large_fields import LargeFields
 
 __all__ = ["OrganFields", "equivalent_strain"]
 
@@ -43,6 +44,8 @@ class OrganFields:
         Nodes of the mesh that are held.
     interval_s
         Time between two frames [s]; infinite for none.
+    large
+        What answers in place of `solve` where the organ has a hyperelastic law; there is no weight then.
     """
 
     def __init__(
@@ -57,8 +60,10 @@ class OrganFields:
         rest_load_N: Array,
         held: Ints,
         interval_s: float,
+        large: LargeFields | None = None,
     ) -> None:
         self._space, self._elasticity, self._solve, self._product = space, elasticity, solve, product
+        self._large = large
         self._touchable, self._rest_m, self._rest_load_N = touchable, rest_m, rest_load_N
         self.interval_s, self.next_s = interval_s, 0.0 if interval_s < inf else inf
         mesh = space.mesh
@@ -74,6 +79,11 @@ class OrganFields:
 
     def compute(self) -> None:
         """Solve the frames that were kept."""
+        if self._large is not None:
+            for time_s, force, _ in self._kept:
+                moved, stress, reaction = self._large.under(force)
+                self.series.frames.append(self._shown(time_s, moved, stress, stress.strain, reaction))
+            self._kept.clear()
         for first in range(0, len(self._kept), BATCH):
             batch = self._kept[first : first + BATCH]
             viscous = any(force is not creeping and (force != creeping).any() for _, force, creeping in batch)
@@ -95,6 +105,10 @@ class OrganFields:
         if displaced_m is not strained_m:
             strain = cell_stress(self._space, displaced_m + self._rest_m, self._elasticity).strain
         reaction = self._product(strained_m + self._rest_m) - self._spread(force_N) - self._rest_load_N
+        return self._shown(time_s, displaced_m + self._rest_m, stress, strain, reaction)
+
+    def _shown(self, time_s: float, moved_m: Array, stress: StressState, strain: Array, reaction: Array) -> Frame:
+        """A frame of displacements [m] and reactions [N] of all nodes, and of stress and strain of the cells."""
         corners = len(self._space.mesh.nodes_m)
         for end in self._ends.T:  # a middle node's reaction is shown half at each end of its edge
             np.add.at(reaction, end, 0.5 * reaction[corners:])
@@ -102,7 +116,7 @@ class OrganFields:
         return Frame(
             time_s,
             {
-                "displacement_mm": single(1e3 * (displaced_m + self._rest_m)[:corners]),
+                "displacement_mm": single(1e3 * moved_m[:corners]),
                 "reaction_N": single(reaction[:corners]),
             },
             {

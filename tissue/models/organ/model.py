@@ -28,6 +28,7 @@ from tissue.materials.prony import HereditaryIntegral, Prony
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.contact_result import ContactOutcome
 from tissue.models.organ.fields import OrganFields
+from tissue.models.organ.law_offset import LawOffset
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 
 __all__ = ["LiverModel"]
@@ -56,6 +57,8 @@ class LiverModel:
         How every modulus relaxes; None for an elastic organ. The contact's compliance is the instantaneous one.
     lazy
         What fills the contact's compliance while the tool moves; None where it is whole.
+    law
+        How far a hyperelastic organ is from the contact's compliance; None for a linear one. Without `prony`.
     ball_radius_m
         Radius of a ball that presses [m], for which it is known where linear elasticity stops being enough.
     step_s
@@ -73,10 +76,11 @@ class LiverModel:
         fields: OrganFields,
         prony: Prony | None = None,
         lazy: LazyCompliance | None = None,
+        law: LawOffset | None = None,
         ball_radius_m: float | None = None,
         step_s: float = TICK_S,
     ) -> None:
-        self.contact, self._fields, self._lazy = contact, fields, lazy
+        self.contact, self._fields, self._lazy, self._law, self._step_s = contact, fields, lazy, law, step_s
         self.layer_names = space.mesh.part_names
         parts = np.zeros(len(self.layer_names))
         np.add.at(parts, space.mesh.part, space.mesh.volumes_m3)
@@ -86,7 +90,8 @@ class LiverModel:
         self._layer = int(np.bincount(_parts_at(space, touchable)).argmax())
         self._touched_m = np.full(3, np.nan)
         self._unsettled, self._ticks = False, 0
-        self._limits = [(depth * ball_radius_m, error) for depth, error in LINEAR_ERROR] if ball_radius_m else []
+        radius_m = ball_radius_m if law is None else None
+        self._limits = [(depth * radius_m, error) for depth, error in LINEAR_ERROR] if radius_m else []
         self._crept_N = np.zeros((len(touchable), 3))
         self._creep: HereditaryIntegral | None = None
         if prony is not None:
@@ -119,6 +124,8 @@ class LiverModel:
         self._ticks += 1
         if self._creep is not None:
             self.contact.shift(self._creep.history)
+        if self._law is not None:
+            self.contact.shift(self._law.offset_m(self._ticks * self._step_s, self._depth_m(motion)))
         result = self.contact.solve(motion.tip_m, motion.rotation)
         if self._creep is not None:
             np.multiply(result.nodal_forces_N, self._forces.instant_factor, out=self._crept_N)
@@ -140,7 +147,7 @@ class LiverModel:
             self._touched_m[:] = motion.tip_m
         response.engaged_m2[self._layer] = result.area_m2 if result.contacts else 0.0
         measures = response.measures
-        measures[0] = 1e3 * float((self._touched_m - motion.tip_m) @ motion.rotation[:, 2]) if result.contacts else 0.0
+        measures[0] = 1e3 * self._depth_m(motion)
         while self._limits and measures[0] > 1e3 * self._limits[0][0]:
             depth, error = self._limits.pop(0)
             self.notices.append(
@@ -149,6 +156,14 @@ class LiverModel:
             )
         measures[1], measures[2] = result.contacts, result.iterations
         return response
+
+    def wait_for_background(self, time_s: float) -> None:
+        """Solve a hyperelastic law where that is due."""
+        if self._law is not None:
+            depth_m = 1e-3 * float(self._response.measures[0])
+            self._law.renew(time_s, depth_m, self.contact.result.nodal_forces_N)
+            self.notices += self._law.notices
+            self._law.notices.clear()
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Keep the forces where a frame is due."""
@@ -165,7 +180,15 @@ class LiverModel:
     def displacement_m(self) -> Array:
         """Displacement of the touchable nodes in the last tick [m], shape (t, 3); NaN where it is not known."""
         moved = self.contact.result.displacement_m()
+        if self._law is not None:
+            return moved + self._law.latest_m
         return moved if self._creep is None else moved + self._creep.history
+
+    def _depth_m(self, motion: ToolMotion) -> float:
+        """How far the tool has gone on along its axis from where it touched last [m]; 0 without contact."""
+        if np.isnan(self._touched_m[0]):
+            return 0.0
+        return float((self._touched_m - motion.tip_m) @ motion.rotation[:, 2])
 
     def _search_contacts(self, motion: ToolMotion) -> None:
         """Ask for the compliance of the nodes around the tool."""

@@ -10,15 +10,13 @@ from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
 from tissue.fem.fields import FieldSeries
 from tissue.models.bone.model import BoneModel
-from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.models.tissue_model import SLOW, TICK_S, Response, ToolMotion
 from tissue.models.tooth.cutting_heat import PULP_LIMIT_K, CuttingHeat
 from tissue.models.tooth.stress_process import Drilled, StressSolver
 from tissue.system.helper import HelperLostError
 
-__all__ = ["SLOW_SOLVE", "ToothModel"]
+__all__ = ["ToothModel"]
 
-SLOW_SOLVE = "solving the stress took"
-"""How the sentence about a solve that is slower than its interval begins."""
 WARM_EVERY_S = 0.02
 """Time between two steps of the heat [s]."""
 WARN_M = (1.0e-3, 0.5e-3)
@@ -197,8 +195,8 @@ class ToothModel:
         if record.solve_s > self._interval_s and not self._late_reported:
             self._late_reported = True
             self.notices.append(
-                f"{SLOW_SOLVE} {record.solve_s:.2f} s, longer than its interval of {self._interval_s:g} s: "
-                "the run waits for it, a device would not"
+                f"solving the stress took {record.solve_s:.2f} s, {SLOW} of {self._interval_s:g} s: the run waits for "
+                "it, a device would not"
             )
 
     def finish(self) -> None:
