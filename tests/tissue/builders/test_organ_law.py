@@ -20,8 +20,8 @@ SMALL = {
 
 def pressed(depth_mm: float, **changes: object) -> dict[str, object]:
     """A ball of 16 mm on a small slab, straight in."""
-    way = {"motion.points_mm": [[0, 0, 0.2], [0, 0, -depth_mm], [0, 0, -depth_mm - 0.01]], "motion.feed_mm_s": 10.0}
-    return SMALL | way | {f"organ.{name}": value for name, value in changes.items()}
+    path = {"motion.points_mm": [[0, 0, 0.2], [0, 0, -depth_mm], [0, 0, -depth_mm - 0.01]], "motion.feed_mm_s": 10.0}
+    return SMALL | path | {f"organ.{name}": value for name, value in changes.items()}
 
 
 LAWS = {

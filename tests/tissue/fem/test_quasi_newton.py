@@ -60,7 +60,7 @@ def stretched(force_N: float) -> tuple[float, float]:
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_bar_stretches_and_shortens_as_its_law_has_it(order):
     space, _, follower = cube(order)
-    for force_N in (0.5, 3.0, 6.0, -1.0, -4.0):
+    for force_N in (0.5, 3.0, 6.0, 2.0, -1.0, -2.0):
         found = follower.follow(pulled(space, force_N), tolerance=1e-9, step_limit=200)
         assert found.residual <= 1e-9
         along, across = stretched(force_N)
