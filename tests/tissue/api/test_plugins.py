@@ -111,6 +111,7 @@ def test_nothing_is_imported_before_it_is_asked_for(tmp_path):
         assert output.split()[-1] == "loud" and error == "imported\n"
 
 
+@pytest.mark.slow
 def test_a_package_that_cannot_be_imported_stops_nothing_but_its_part(tmp_path):
     (tmp_path / "broken.py").write_text("import nothing_of_that_name\n")
     (tmp_path / "whole.py").write_text("def make(loop):\n    return loop\n")

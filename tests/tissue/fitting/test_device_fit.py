@@ -124,6 +124,7 @@ def logs(tmp_path_factory):
     )
 
 
+@pytest.mark.slow
 def test_planted_device_comes_back_by_the_command(logs, tmp_path, command):
     code, text, problem = command(
         "fit", "device:touch", "--measured", logs[0], "--held", logs[1], "--out", tmp_path / "d"

@@ -17,7 +17,10 @@ TIMES_S = 0.01 * np.arange(400)
 WIDE = Prior(0.01, 0.0, 0.1)
 
 
-@pytest.fixture(scope="module", params=[0.02, 0.05, 0.15])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(0.02, marks=pytest.mark.slow), pytest.param(0.05, marks=pytest.mark.slow), 0.15],
+)
 def posterior(request):
     """An oscillating load of a constant whose range spans decades, below 0.02 hidden by noise."""
     basis = np.sin(9.0 * TIMES_S)[:, None, None]

@@ -16,6 +16,8 @@ from tissue.simulation.run_folder import SavedRun
 from tissue.viewer.run import faces_of
 from tissue.viewer.view import view
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def pressed(tmp_path_factory):
