@@ -42,9 +42,14 @@ class Used:
     stated: float | None = None
 
 
-def used_constants(scene: Scene, layers: Sequence[str]) -> list[Used]:
-    """Constants of the tissue's layers, and of device and hand where there are any, in the order of their tables."""
-    return _used(scene.constants, _tables(scene, layers), lambda table, material: _stated(scene, table, material))
+def used_constants(scene: Scene, layers: Sequence[str], *, varied: bool = False) -> list[Used]:
+    """Constants of the tissue's layers, and of device and hand where there are any, in the order of their tables.
+
+    Where all of them are `varied` together, the density exponent counts in bone of the reference density too.
+    """
+    return _used(
+        scene.constants, _tables(scene, layers, varied), lambda table, material: _stated(scene, table, material)
+    )
 
 
 def used_of_cutting(
@@ -75,13 +80,12 @@ def _used(
     return found
 
 
-def _tables(scene: Scene, layers: Sequence[str]) -> Iterator[Part]:
+def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]:
     """Tables and materials of a scene."""
     anatomy, tool = scene.anatomy, scene.tool
     if isinstance(tool, Tool) and tool.spin_rpm != 0.0:
-        yield from _cutting(
-            scene.constants, layers, scene.cutting.material, has_reference_density=_has_reference_density(scene)
-        )
+        even = not varied and _has_reference_density(scene)
+        yield from _cutting(scene.constants, layers, scene.cutting.material, has_reference_density=even)
     yield from _tooth(scene, layers)
     if isinstance(anatomy, SoftAnatomy):
         organ = scene.organ

@@ -44,7 +44,7 @@ class Workers:
 
 def ranges_of(scene: Scene, layers: tuple[str, ...]) -> Ranges:
     """Constants with a range on which a scene of such layers rests, but those that it sets itself."""
-    used = [one for one in used_constants(scene, layers) if one.stated is None]
+    used = [one for one in used_constants(scene, layers, varied=True) if one.stated is None]
     priors = {one.full: Prior.of(one.cited, one.full) for one in used}
     priors = {name: prior for name, prior in priors.items() if not prior.fixed}
     return Ranges(tuple(priors), tuple(priors.values()), scene.constants.correlation(tuple(priors)))

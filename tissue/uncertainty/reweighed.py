@@ -46,7 +46,7 @@ class Reweighed:
         scene, met = self.record.scene, [self.record.layer_names[at] for at in sorted(self.record.layers)]
         priors = {
             one.full: Prior.of(one.cited, one.full)
-            for one in used_constants(scene, met)
+            for one in used_constants(scene, met, varied=True)
             if one.full.startswith("cutting.") and one.stated is None
         }
         if (density := density_prior(self.record.notes.get("density law", ""))) is not None:

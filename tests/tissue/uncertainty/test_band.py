@@ -55,6 +55,20 @@ def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficien
     assert size[:, np.argmax(size[2])] == pytest.approx(exact[:, 0], rel=2e-2)
 
 
+def test_in_bone_of_the_reference_density_the_exponent_counts_where_that_density_varies(block):
+    """The strength is the ratio of the densities to the exponent: 1 for both cited values, not for both of a sample."""
+    reweighed = Reweighed(record_loads(block, cores=1))
+    names, priors = reweighed.ranges.names, reweighed.ranges.priors
+    density, exponent = (
+        names.index(f"cutting.bone.{name}") for name in ("reference_density_kg_m3", "density_exponent")
+    )
+    x = np.tile(reweighed.nominal(), (3, 1))
+    x[1:, density], x[2, exponent] = priors[density].high, priors[exponent].high
+    peak = reweighed.figures(x)[:, 0]
+    ratio = priors[density].value / priors[density].high
+    assert peak[1:] / peak[0] == pytest.approx([ratio ** priors[exponent].value, ratio ** priors[exponent].high])
+
+
 def test_the_file_of_a_sample_gives_its_figures_when_it_is_run(block, tmp_path):
     """Reweighed against rerun, for every constant at once."""
     band = band_of(block, 16, cores=1)
