@@ -50,7 +50,7 @@ def run(
     out
         Folder to write; default runs/NAME.
     seed
-        Seed of every random draw.
+        Seed of every random draw: of a device's run, and of a band's samples.
     duration_s
         Simulated time in seconds; one that holds the whole motion is longer by the hand's reaction time, under 1 s.
     set_
@@ -90,7 +90,10 @@ def run(
     for kind in format_:
         check_format(kind)
     picture_format(pictures)
-    loaded = _load(scene, _overrides(set_, fidelity, seed=seed, duration_s=duration_s), live=live)
+    overrides = _overrides(set_, fidelity, duration_s=duration_s)
+    loaded = _load(scene, overrides, live=live)
+    if seed is not None and (band is None or loaded.device != "none"):  # without a device it is that of a band alone
+        loaded = _load(scene, overrides | {"seed": seed}, live=live)
     _refuse_unused(loaded, live=live, compute=compute, cores=cores, allow_unstable=allow_unstable)
     if band is not None:
         left_out("with --live", "run the scene without it", band=band if live else None)
@@ -115,15 +118,13 @@ def run(
             with progress() as report:
                 drawn = False if no_pictures else pictures
                 finished.band(
-                    band, workers=workers, scheduler=scheduler, each_run=each_run, compute=compute, cores=cores,
-                    pictures=drawn, progress=report,
+                    band, seed=seed, workers=workers, scheduler=scheduler, each_run=each_run, compute=compute,
+                    cores=cores, pictures=drawn, progress=report,
                 )  # fmt: skip
     _print_summary(finished.summary, folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
 
 
-def _overrides(
-    changes: Sequence[str], fidelity: Sequence[str], *, seed: int | None, duration_s: float | None
-) -> dict[str, Any]:
+def _overrides(changes: Sequence[str], fidelity: Sequence[str], *, duration_s: float | None) -> dict[str, Any]:
     """Entries of the scene that the options replace, by key."""
     from tissue.scene.load import parse_override
 
@@ -131,8 +132,6 @@ def _overrides(
     for text in fidelity:
         key, value = parse_override(text, option="--fidelity", example="force_error=0.03")
         overrides[f"fidelity.{key}"] = value
-    if seed is not None:
-        overrides["seed"] = seed
     if duration_s is not None:
         overrides["duration_s"] = duration_s
     return overrides

@@ -1,5 +1,6 @@
 """The `tissue` command: what it prints, and one sentence and exit code 2 for a command line that it cannot use."""
 
+import json
 import sys
 import tomllib
 from pathlib import Path
@@ -138,3 +139,17 @@ def test_help_lists_every_option(command):
         "--allow-unstable",
     ):
         assert option in output
+
+
+def test_a_seed_is_that_of_a_band_where_nothing_else_is_drawn(refused, command, tmp_path):
+    """Without a device a scene draws nothing at random, so that it refuses a seed of its own."""
+    small = ["milling", "--set", "voxels.spacing_mm=0.8", "--duration-s", "0.2", "--no-pictures"]
+    assert "seed must be left out" in refused("run", *small, "--seed", "1", "--out", str(tmp_path / "alone"))
+    peaks = []
+    for name in ("0", "1"):
+        out = tmp_path / name
+        command("run", *small, "--band", "16", "--seed", name, "--out", str(out))
+        band = json.loads((out / "summary.json").read_text("utf-8"))["band"]
+        assert band["seed"] == int(name)
+        peaks.append(band["force_N"]["peak"]["p50"])
+    assert peaks[0] != peaks[1]
