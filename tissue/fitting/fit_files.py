@@ -34,8 +34,8 @@ UNITS = ("N_mm2", "N_mm", "N_m", "N_s_m", "kPa", "N_s_m2", "kg", "N", "s", "mm_s
 LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn."""
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
-NATS = 0.1
-"""Gain below which another log is not recommended [nats]."""
+NATS, LITTLE = 0.1, 0.95
+"""Gain below which another log is not recommended [nats]; share of an interval above which it is left as it is."""
 
 
 def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
@@ -189,17 +189,17 @@ def verdicts(fit: SceneFit) -> list[str]:
         terms = [" + ".join(terms).replace("+ -", "- ")] if terms else []
         terms += [f"({unit_of(name)[0]})^{power:.2g}" for name, power in combined.powers.items()]
         found.append(
-            f"known better together, each over its cited value: {' times '.join(terms)} = {combined.value:.4g} "
+            f"known better together, each over the median of its prior: {' times '.join(terms)} = {combined.value:.4g} "
             f"({combined.low:.4g} to {combined.high:.4g})"
         )
     if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior if name in names]:
         found.append(f"not narrowed by this log, left at the cited range: {', '.join(at_prior)}")
     if fit.gains and fit.gains[0].nats > NATS:
-        best = fit.gains[0]
-        found.append(
-            f"to measure next: {best.label}, which adds {best.nats:.2g} nats and brings the interval of "
-            f"{unit_of(best.widest)[0]} to {100.0 * best.shrinks_to:.0f} % of that now"
-        )
+        best, widest = fit.gains[0], unit_of(fit.gains[0].widest)[0]
+        brings = f"brings the interval of {widest} to {100.0 * best.shrinks_to:.0f} % of that now"
+        if best.shrinks_to > LITTLE:
+            brings = f"leaves that of {widest}, the widest, as it is"
+        found.append(f"to measure next: {best.label}, which adds {best.nats:.2g} nats and {brings}")
     return found
 
 
