@@ -87,8 +87,8 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     law = law_of(organ, elasticity)
     if law is not None and scene.device != "none":
         raise InputError(
-            f"device must be none with organ.law = {organ.law}, got {scene.device}: how stable a coupling to an organ "
-            "that stiffens is cannot be judged yet; remove it, or the law"
+            f"device and organ.law must be left out together, got {scene.device} and {organ.law}: remove one, "
+            "how stable a coupling to an organ that stiffens is cannot be judged yet"
         )
     capsule, density = capsule_of(organ, notes, scene.constants), density_of(organ, scene.constants)
     report("compiling kernels (the first time on a machine)", 0.0)

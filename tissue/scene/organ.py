@@ -108,8 +108,10 @@ class Organ(Part):
     """Law of large strains, its small strains by the moduli above; all but the first are solved between ticks."""
     second_share: float | None = Field(None, ge=0, le=1, examples=[0.3])
     """Share of the second invariant's term in the shear modulus of a Mooney-Rivlin law."""
-    power_ratios: tuple[float, float] | None = Field(None, examples=[(0.1, 0.01)])
-    """Coefficients of the second and third power of a Yeoh law over that of the first."""
+    square_ratio: float | None = Field(None, ge=-1, le=100, examples=[0.1])
+    """Coefficient of the second power of a Yeoh law over that of the first."""
+    cube_ratio: float = Field(0.0, ge=-1, le=100)
+    """The same of the third power."""
     exponent: float | None = Field(None, ge=-30, le=30, examples=[8.0])
     """Exponent of the stretches of an Ogden law of one term; not 0."""
     law_interval_ms: float = Field(25.0, ge=5, le=1000)

@@ -185,7 +185,7 @@ def _organ(scene: "Scene") -> list[Rule]:
         ("organ.fibre_modulus_ratio", organ.fibre_direction is None, "without fibres", "set organ.fibre_direction"),
         ("organ.fibre_direction", organ.fibre_modulus_ratio == 1.0, "with a ratio of 1", ratio),
         ("organ.second_share", organ.law != "mooney-rivlin", law, "set organ.law = mooney-rivlin"),
-        ("organ.power_ratios", organ.law != "yeoh", law, "set organ.law = yeoh"),
+        ("organ.square_ratio organ.cube_ratio", organ.law != "yeoh", law, "set organ.law = yeoh"),
         ("organ.exponent", organ.law != "ogden", law, "set organ.law = ogden"),
         ("organ.law_interval_ms", organ.law == "linear", law, "set organ.law = neo-hookean"),
         ("organ.basis_size", organ.path != "reduced", path, "set organ.path = reduced"),
