@@ -1,25 +1,37 @@
 """Sparse factorisation: exact to rounding, many right sides for one factor.
 
-SuperLU of scipy, on the symmetric pattern and with diagonal pivots, which a positive definite matrix allows. Nested
-dissection of the coordinates orders the columns: of SuperLU's own orders, minimum degree takes three quarters of the
-time on a liver of pytetwild, twice the time on a lattice liver of the same 19,000 unknowns, and four times at 95,000.
+Multifrontal Cholesky over nested dissection of the coordinates; at 35,000 unknowns it takes a sixth of the time of
+SuperLU in the same order (`python tests/bench/bench_factor.py`). A stiffness that is not positive definite to rounding
+is left to SuperLU of scipy on diagonal pivots, and its solutions are judged as any other.
 """
 
+from typing import Protocol
+
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.sparse import csc_array
-from scipy.sparse.linalg import SuperLU, splu
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.fem.outcome import Solution, SolverOutcome
-from tissue.fem.solvers.dissection import dissection
+from tissue.fem.solvers.dissection import dissected
 from tissue.fem.solvers.held_body import HeldBody, pointwise_graph
+from tissue.fem.solvers.multifrontal import Multifrontal, NotPositiveDefinite
+from tissue.fem.solvers.superlu import SuperLUFactor
 
 __all__ = ["DirectSolver", "factorised"]
 
-TOGETHER = 4
-"""Right sides in one back-substitution: more would call threaded BLAS on small blocks, which is slower."""
+TOGETHER = 48
+"""Right sides in one back-substitution: of 48, each takes a ninth of the time of one alone."""
+
+
+class Factor(Protocol):
+    """What a factorisation leaves, unknowns in order of elimination."""
+
+    def solve(self, right: Array) -> Array:
+        """The solution for one or several right sides, shape (n,) or (n, m)."""
+
+    def inverse_of_last(self, count: int) -> Array:
+        """Rows and columns of the inverse that belong to the last unknowns, shape (count, count)."""
 
 
 class DirectSolver:
@@ -44,10 +56,10 @@ class DirectSolver:
         self.body = body
         self.last = np.zeros(0, dtype=np.int64) if last is None else last
         """Nodes that were eliminated last."""
-        order = dissection(body.nodes_m, pointwise_graph(body.stiffness))
+        blocks = dissected(body.nodes_m, pointwise_graph(body.stiffness))
         if len(self.last):
-            order = np.concatenate([order[~np.isin(order, self.last)], self.last])
-        self._order, self._matrix, self._factor = factorised(body, order)
+            blocks = [*(nodes[~np.isin(nodes, self.last)] for nodes in blocks), self.last]
+        self._order, self._matrix, self._factor = factorised(body, blocks)
         self._position = np.full(3 * len(body.nodes_m), -1)
         self._position[self._order] = np.arange(len(self._order))
 
@@ -70,14 +82,11 @@ class DirectSolver:
         return Solution(self.body.whole(found[place]), outcome, 0, left)
 
     def columns(self, unknowns: Ints, *, together: int = TOGETHER) -> Array:
-        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones.
-
-        More right sides `together` than by default are quicker where BLAS is kept to one thread.
-        """
+        """Displacements of all unknowns [m/N] for unit forces on some, shape (3n, k); zero for held ones."""
         answers = np.zeros((len(self._position), len(unknowns)))
         for start in range(0, len(unknowns), together):
             at = self._position[unknowns[start : start + together]]
-            right = np.zeros((len(self._order), len(at)), order="F")
+            right = np.zeros((len(self._order), len(at)))
             pushed = np.flatnonzero(at >= 0)
             right[at[pushed], pushed] = 1.0
             answers[self._order, start : start + len(at)] = self._factor.solve(right)
@@ -89,31 +98,41 @@ class DirectSolver:
         No back-substitution is made: the last block of the factor is that of their Schur complement.
         """
         last = np.isin((3 * self.last[:, None] + np.arange(3)).ravel(), self.body.free)
-        count = int(last.sum())
-        upper = self._factor.U[-count:, -count:].toarray()
-        # S = U^T D^-1 U with D the diagonal of U: its inverse is V D V^T with V the inverse of U, scaled.
-        half = solve_triangular(upper, np.diag(np.sqrt(np.diag(upper))))
         whole = np.zeros((len(last), len(last)))
-        whole[np.ix_(last, last)] = half @ half.T
+        if last.any():
+            whole[np.ix_(last, last)] = self._factor.inverse_of_last(int(last.sum()))
         return whole
 
 
-def factorised(body: HeldBody, order: Ints) -> tuple[Ints, csc_array, SuperLU]:
-    """The free unknowns of nodes in an order of elimination, the matrix between them, and its factor.
+def factorised(body: HeldBody, blocks: list[Ints]) -> tuple[Ints, csc_array, Factor]:
+    """The free unknowns in order of elimination, the matrix between them, and its factor.
+
+    Parameters
+    ----------
+    body
+        The stiffness and what holds it.
+    blocks
+        Nodes that are eliminated together, in order; each node is of one block.
 
     Raises
     ------
     InputError
         If the matrix cannot be factorised.
     """
-    unknowns = (3 * order[:, None] + np.arange(3)).ravel()
-    kept = unknowns[np.isin(unknowns, body.free)]
+    free = np.zeros(3 * len(body.nodes_m), dtype=np.bool_)
+    free[body.free] = True
+    parts = [(3 * nodes[:, None] + np.arange(3)).ravel() for nodes in blocks]
+    parts = [kept for unknowns in parts if len(kept := unknowns[free[unknowns]])]
+    kept = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
     matrix = body.stiffness.tocsr()[kept][:, kept].tocsc()
     matrix.sort_indices()
     try:
-        factor = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        return kept, matrix, Multifrontal(matrix, np.cumsum([0, *map(len, parts)]))
+    except NotPositiveDefinite:
+        pass
+    try:
+        return kept, matrix, SuperLUFactor(matrix)
     except RuntimeError as problem:
         raise InputError(
             f"stiffness must be positive definite, got one without a factor ({problem}): check moduli and sliver cells"
         ) from problem
-    return kept, matrix, factor

@@ -7,14 +7,21 @@ from scipy.sparse import csr_array
 
 from meshes.base.arrays import Array, Ints
 
-__all__ = ["dissection"]
+__all__ = ["dissected", "dissection"]
 
+LEVELS = 10
+"""Halvings of the box that the curve follows."""
 LEAF = 16
 """Sets of at most this many nodes are not cut further."""
 
 
 def dissection(nodes_m: Array, graph: csr_array) -> Ints:
-    """Nodes in order of elimination, shape (n,).
+    """Nodes in order of elimination, shape (n,); parameters as of `dissected`."""
+    return np.concatenate(dissected(nodes_m, graph))
+
+
+def dissected(nodes_m: Array, graph: csr_array, *, leaf: int = LEAF) -> list[Ints]:
+    """Sets of nodes in order of elimination: of each cut first both sides, then what parts them.
 
     A set is cut at the median of its longest extent; the nodes of one side that touch the other come last.
 
@@ -24,13 +31,15 @@ def dissection(nodes_m: Array, graph: csr_array) -> Ints:
         Node positions [m], shape (n, 3).
     graph
         Nodes that share a cell, shape (n, n).
+    leaf
+        Sets of at most this many nodes are not cut further.
     """
     side = np.zeros(len(nodes_m), dtype=np.int8)
     last_first: list[Ints] = []
-    waiting = [np.arange(len(nodes_m))]
+    waiting = [_along_curve(nodes_m)]
     while waiting:
         nodes = waiting.pop()
-        along = nodes_m[nodes, int(np.ptp(nodes_m[nodes], axis=0).argmax())] if len(nodes) > LEAF else np.zeros(1)
+        along = nodes_m[nodes, int(np.ptp(nodes_m[nodes], axis=0).argmax())] if len(nodes) > leaf else np.zeros(1)
         low = along < np.median(along)
         if not low.any():
             last_first.append(nodes)
@@ -46,10 +55,21 @@ def dissection(nodes_m: Array, graph: csr_array) -> Ints:
             last_first.append(upper[rim_above])
             upper = upper[~rim_above]
         waiting += [lower, upper]
-    return np.concatenate(last_first[::-1])
+    return last_first[::-1]
 
 
 def _touches(graph: csr_array, nodes: Ints, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which of the nodes have a marked neighbour."""
     rows = graph[nodes]
     return np.asarray(rows @ marked.astype(np.int32) > 0)
+
+
+def _along_curve(nodes_m: Array) -> Ints:
+    """Nodes along a curve that passes each octant of a box before the next (Morton 1966), shape (n,)."""
+    low = nodes_m.min(axis=0)
+    steps = ((nodes_m - low) / max(float(np.ptp(nodes_m, axis=0).max()), 1e-300) * (2**LEVELS - 1)).astype(np.int64)
+    code = np.zeros(len(nodes_m), dtype=np.int64)
+    for level in range(LEVELS):
+        for axis in range(3):
+            code |= ((steps[:, axis] >> level) & 1) << (3 * level + axis)
+    return np.argsort(code, kind="stable")

@@ -1,0 +1,155 @@
+"""Multifrontal Cholesky factorisation (Duff and Reid 1983, ACM Trans. Math. Softw. 9:302): a sparse matrix by dense ones.
+
+Blocks of unknowns are eliminated one after the other, each in a dense front ``[[A, B^T], [B, C]]`` of its own unknowns
+and of the later ones that it changes: ``A = L L^T``, ``B L^-T`` is kept, and ``C - B A^-1 B^T`` is added to the front
+that eliminates the first of those. Nearly all of the time is then spent in LAPACK and in BLAS of level 3.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.sparse import csc_array, tril
+
+from meshes.base.arrays import Array, Ints
+from tissue.fem.solvers.fronts import Front, fronts_of
+
+__all__ = ["Multifrontal", "NotPositiveDefinite"]
+
+FEW_RUNS = 16
+"""Pairs of runs of consecutive rows and columns up to which a block is added pair by pair."""
+SHORT = 6
+"""Rows of a run, in the mean, below which a block is added entry by entry."""
+
+
+class NotPositiveDefinite(ArithmeticError):
+    """A matrix has no Cholesky factor."""
+
+
+class Multifrontal:
+    """A Cholesky factor of a symmetric matrix, made once.
+
+    Parameters
+    ----------
+    matrix
+        Symmetric and positive definite, in order of elimination, shape (n, n); its lower triangle alone is read.
+    starts
+        First unknown of each block that is eliminated at once, and n, rising, shape (blocks + 1,).
+
+    Raises
+    ------
+    NotPositiveDefinite
+        If the matrix is not positive definite to rounding.
+    """
+
+    def __init__(self, matrix: csc_array, starts: Ints) -> None:
+        lower = csc_array(tril(matrix, format="csc"))
+        self._count = lower.shape[0]
+        self._fronts = fronts_of(lower, starts)
+        self._diagonal: list[Array] = []
+        """L of each front, shape (k, k), Fortran order."""
+        self._under: list[Array] = []
+        """``B L^-T`` of each front, shape (r, k), Fortran order."""
+        changes: dict[int, Array] = {}
+        place = np.zeros(self._count, dtype=np.int64)
+        for number, front in enumerate(self._fronts):
+            changed = self._eliminate(front, lower, changes, place)
+            if len(front.below):
+                changes[number] = changed
+
+    @property
+    def entries(self) -> int:
+        """Numbers that the factor keeps."""
+        return sum(part.size for part in [*self._diagonal, *self._under])
+
+    def solve(self, right: Array) -> Array:
+        """The solution for one or several right sides, shape (n,) or (n, m)."""
+        found = np.array(right, dtype=np.float64, order="C").reshape(self._count, int(np.prod(np.shape(right)[1:])))
+        parts = list(zip(self._fronts, self._diagonal, self._under, strict=True))
+        for front, diagonal, under in parts:
+            own = found[front.start : front.stop]
+            if not own.any():
+                continue
+            own[:] = dtrsm(1.0, diagonal, own, lower=1)
+            if len(front.below):
+                found[front.below] -= under @ own
+        for front, diagonal, under in reversed(parts):
+            own = found[front.start : front.stop]
+            if len(front.below):
+                own -= under.T @ found[front.below]
+            own[:] = dtrsm(1.0, diagonal, own, lower=1, trans_a=1)
+        return found.reshape(np.shape(right))
+
+    def inverse_of_last(self, count: int) -> Array:
+        """Rows and columns of the inverse that belong to the last unknowns, symmetric bitwise, shape (count, count).
+
+        At most the block that is eliminated last is asked for.
+        """
+        inverse, _ = dpotri(self._diagonal[-1], lower=1)
+        inverse = inverse[-count:, -count:]
+        whole: Array = np.tril(inverse) + np.tril(inverse, -1).T
+        return whole
+
+    def _eliminate(self, front: Front, lower: csc_array, changes: dict[int, Array], place: Ints) -> Array:
+        own, after = front.stop - front.start, len(front.below)
+        diagonal, under, change = (np.zeros(shape, order="F") for shape in ((own, own), (after, own), (after, after)))
+        place[front.below] = np.arange(after)
+        first, end = lower.indptr[front.start], lower.indptr[front.stop]
+        rows, values = lower.indices[first:end], lower.data[first:end]
+        columns = np.repeat(np.arange(own), np.diff(lower.indptr[front.start : front.stop + 1]))
+        inside = rows < front.stop
+        diagonal[rows[inside] - front.start, columns[inside]] = values[inside]
+        under[place[rows[~inside]], columns[~inside]] = values[~inside]
+        for child in front.children:
+            block, below = changes.pop(child), self._fronts[child].below
+            split = int(np.searchsorted(below, front.stop))
+            here, there = _Rows.of(below[:split] - front.start), _Rows.of(place[below[split:]])
+            _add(diagonal, here, here, block[:split, :split])
+            _add(under, there, here, block[split:, :split])
+            _add(change, there, there, block[split:, split:])
+        diagonal, failed = dpotrf(diagonal, lower=1, overwrite_a=1)
+        if failed:
+            raise NotPositiveDefinite(f"the matrix is not positive definite at unknown {front.start + failed - 1}")
+        if after:
+            under = dtrsm(1.0, diagonal, under, side=1, lower=1, trans_a=1, overwrite_b=1)
+            change = dsyrk(-1.0, under, beta=1.0, c=change, lower=1, overwrite_c=1)
+        self._diagonal.append(diagonal)
+        self._under.append(under)
+        return change
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rising rows of a matrix, and where runs of consecutive ones start and stop among them."""
+
+    at: Ints
+    runs: list[tuple[int, int]]
+
+    @classmethod
+    def of(cls, at: Ints) -> "_Rows":
+        cuts = [0, *(1 + np.flatnonzero(np.diff(at) != 1)).tolist(), len(at)]
+        return cls(at, list(zip(cuts[:-1], cuts[1:], strict=True)))
+
+
+def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
+    """Add a block to some rows and columns of a matrix in place; of a square one at least the lower triangle.
+
+    Run by run of rows, which lie together in memory, where runs are long.
+    """
+    if not block.size:
+        return
+    transposed, added = target.T, block.T
+    at, to = rows.at, columns.at
+    square = rows is columns
+    if len(rows.runs) * len(columns.runs) <= FEW_RUNS:
+        for a, b in rows.runs:
+            for c, d in columns.runs:
+                if not square or c < b:
+                    transposed[to[c] : to[c] + d - c, at[a] : at[a] + b - a] += added[c:d, a:b]
+    elif len(rows.runs) * SHORT <= len(at):
+        for a, b in rows.runs:
+            end = b if square else len(to)
+            transposed[to[:end], at[a] : at[a] + b - a] += added[:end, a:b]
+    else:
+        transposed[np.ix_(to, at)] += added
