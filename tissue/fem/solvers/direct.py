@@ -15,7 +15,7 @@ from meshes.base.errors import InputError
 from tissue.fem.outcome import Solution, SolverOutcome
 from tissue.fem.solvers.dissection import dissected
 from tissue.fem.solvers.held_body import HeldBody, pointwise_graph
-from tissue.fem.solvers.multifrontal import Multifrontal, NotPositiveDefinite
+from tissue.fem.solvers.multifrontal import Multifrontal, NotPositiveDefiniteError
 from tissue.fem.solvers.superlu import SuperLUFactor
 
 __all__ = ["DirectSolver", "factorised"]
@@ -128,7 +128,7 @@ def factorised(body: HeldBody, blocks: list[Ints]) -> tuple[Ints, csc_array, Fac
     matrix.sort_indices()
     try:
         return kept, matrix, Multifrontal(matrix, np.cumsum([0, *map(len, parts)]))
-    except NotPositiveDefinite:
+    except NotPositiveDefiniteError:
         pass
     try:
         return kept, matrix, SuperLUFactor(matrix)

@@ -1,4 +1,4 @@
-"""Multifrontal Cholesky factorisation (Duff and Reid 1983, ACM Trans. Math. Softw. 9:302): a sparse matrix by dense ones.
+"""Multifrontal Cholesky factorisation (Duff and Reid 1983, ACM Trans. Math. Softw. 9:302) in dense blocks.
 
 Blocks of unknowns are eliminated one after the other, each in a dense front ``[[A, B^T], [B, C]]`` of its own unknowns
 and of the later ones that it changes: ``A = L L^T``, ``B L^-T`` is kept, and ``C - B A^-1 B^T`` is added to the front
@@ -6,6 +6,7 @@ that eliminates the first of those. Nearly all of the time is then spent in LAPA
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg.blas import dsyrk, dtrsm
@@ -15,7 +16,7 @@ from scipy.sparse import csc_array, tril
 from meshes.base.arrays import Array, Ints
 from tissue.fem.solvers.fronts import Front, fronts_of
 
-__all__ = ["Multifrontal", "NotPositiveDefinite"]
+__all__ = ["Multifrontal", "NotPositiveDefiniteError"]
 
 FEW_RUNS = 16
 """Pairs of runs of consecutive rows and columns up to which a block is added pair by pair."""
@@ -23,7 +24,7 @@ SHORT = 6
 """Rows of a run, in the mean, below which a block is added entry by entry."""
 
 
-class NotPositiveDefinite(ArithmeticError):
+class NotPositiveDefiniteError(ArithmeticError):
     """A matrix has no Cholesky factor."""
 
 
@@ -39,7 +40,7 @@ class Multifrontal:
 
     Raises
     ------
-    NotPositiveDefinite
+    NotPositiveDefiniteError
         If the matrix is not positive definite to rounding.
     """
 
@@ -110,7 +111,7 @@ class Multifrontal:
             _add(change, there, there, block[split:, split:])
         diagonal, failed = dpotrf(diagonal, lower=1, overwrite_a=1)
         if failed:
-            raise NotPositiveDefinite(f"the matrix is not positive definite at unknown {front.start + failed - 1}")
+            raise NotPositiveDefiniteError(f"the matrix is not positive definite at unknown {front.start + failed - 1}")
         if after:
             under = dtrsm(1.0, diagonal, under, side=1, lower=1, trans_a=1, overwrite_b=1)
             change = dsyrk(-1.0, under, beta=1.0, c=change, lower=1, overwrite_c=1)
@@ -129,7 +130,7 @@ class _Rows:
     @classmethod
     def of(cls, at: Ints) -> "_Rows":
         cuts = [0, *(1 + np.flatnonzero(np.diff(at) != 1)).tolist(), len(at)]
-        return cls(at, list(zip(cuts[:-1], cuts[1:], strict=True)))
+        return cls(at, list(pairwise(cuts)))
 
 
 def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
