@@ -1,10 +1,11 @@
 """Sparse factorisation: exact to rounding, many right sides for one factor.
 
-Multifrontal Cholesky over nested dissection of the coordinates; at 35,000 unknowns it takes a sixth of the time of
+Multifrontal Cholesky over nested dissection of the coordinates; at 35,000 unknowns it takes a quarter of the time of
 SuperLU in the same order (`python tests/bench/bench_factor.py`). A stiffness that is not positive definite to rounding
 is left to SuperLU of scipy on diagonal pivots, and its solutions are judged as any other.
 """
 
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -54,8 +55,8 @@ class DirectSolver:
 
     def __init__(self, body: HeldBody, *, last: Ints | None = None) -> None:
         self.body = body
-        self.last = np.zeros(0, dtype=np.int64) if last is None else last
-        """Nodes that were eliminated last."""
+        self.last = np.zeros(0, dtype=np.int64) if last is None else np.unique(last)
+        """Nodes that were eliminated last, rising."""
         blocks = dissected(body.nodes_m, pointwise_graph(body.stiffness))
         if len(self.last):
             blocks = [*(nodes[~np.isin(nodes, self.last)] for nodes in blocks), self.last]
@@ -92,15 +93,22 @@ class DirectSolver:
             answers[self._order, start : start + len(at)] = self._factor.solve(right)
         return answers
 
-    def compliance_of_last_m_N(self) -> Array:
-        """Compliance between the last nodes [m/N], shape (3k, 3k), x, y, z node by node; zero for held components.
+    def compliance_between(self, nodes: Ints) -> Array:
+        """Compliance [m/N] between nodes that were eliminated last, x, y, z node by node, shape (3k, 3k).
 
-        No back-substitution is made: the last block of the factor is that of their Schur complement.
+        Zero for held ones. The last block of the factor is that of their Schur complement, inverted.
         """
-        last = np.isin((3 * self.last[:, None] + np.arange(3)).ravel(), self.body.free)
-        whole = np.zeros((len(last), len(last)))
-        if last.any():
-            whole[np.ix_(last, last)] = self._factor.inverse_of_last(int(last.sum()))
+        at = np.searchsorted(self.last, nodes)
+        rows = (3 * at[:, None] + np.arange(3)).ravel()
+        between: Array = self._compliance_of_last_m_N[np.ix_(rows, rows)]
+        return between
+
+    @cached_property
+    def _compliance_of_last_m_N(self) -> Array:
+        free = np.isin((3 * self.last[:, None] + np.arange(3)).ravel(), self.body.free)
+        whole = np.zeros((len(free), len(free)))
+        if free.any():
+            whole[np.ix_(free, free)] = self._factor.inverse_of_last(int(free.sum()))
         return whole
 
 
@@ -126,8 +134,12 @@ def factorised(body: HeldBody, blocks: list[Ints]) -> tuple[Ints, csc_array, Fac
     kept = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
     matrix = body.stiffness.tocsr()[kept][:, kept].tocsc()
     matrix.sort_indices()
+    from threadpoolctl import threadpool_limits
+
     try:
-        return kept, matrix, Multifrontal(matrix, np.cumsum([0, *map(len, parts)]))
+        # Threads on small blocks took five times as long on a busy machine.
+        with threadpool_limits(1, "blas"):
+            return kept, matrix, Multifrontal(matrix, np.cumsum([0, *map(len, parts)]))
     except NotPositiveDefiniteError:
         pass
     try:

@@ -1,6 +1,6 @@
 """Multifrontal Cholesky factorisation (Duff and Reid 1983, ACM Trans. Math. Softw. 9:302) in dense blocks.
 
-Blocks of unknowns are eliminated one after the other, each in a dense front ``[[A, B^T], [B, C]]`` of its own unknowns
+Blocks of unknowns are eliminated one after the other, each in a dense front ``[[A, B^T], [B, C]]`` of its unknowns
 and of the later ones that it changes: ``A = L L^T``, ``B L^-T`` is kept, and ``C - B A^-1 B^T`` is added to the front
 that eliminates the first of those. Nearly all of the time is then spent in LAPACK and in BLAS of level 3.
 """
@@ -69,17 +69,17 @@ class Multifrontal:
         found = np.array(right, dtype=np.float64, order="C").reshape(self._count, int(np.prod(np.shape(right)[1:])))
         parts = list(zip(self._fronts, self._diagonal, self._under, strict=True))
         for front, diagonal, under in parts:
-            own = found[front.start : front.stop]
-            if not own.any():
+            values = found[front.start : front.stop]
+            if not values.any():
                 continue
-            own[:] = dtrsm(1.0, diagonal, own, lower=1)
+            values[:] = dtrsm(1.0, diagonal, values, lower=1)
             if len(front.below):
-                found[front.below] -= under @ own
+                found[front.below] -= under @ values
         for front, diagonal, under in reversed(parts):
-            own = found[front.start : front.stop]
+            values = found[front.start : front.stop]
             if len(front.below):
-                own -= under.T @ found[front.below]
-            own[:] = dtrsm(1.0, diagonal, own, lower=1, trans_a=1)
+                values -= under.T @ found[front.below]
+            values[:] = dtrsm(1.0, diagonal, values, lower=1, trans_a=1)
         return found.reshape(np.shape(right))
 
     def inverse_of_last(self, count: int) -> Array:
@@ -93,12 +93,14 @@ class Multifrontal:
         return whole
 
     def _eliminate(self, front: Front, lower: csc_array, changes: dict[int, Array], place: Ints) -> Array:
-        own, after = front.stop - front.start, len(front.below)
-        diagonal, under, change = (np.zeros(shape, order="F") for shape in ((own, own), (after, own), (after, after)))
+        count, after = front.stop - front.start, len(front.below)
+        diagonal, under, change = (
+            np.zeros(shape, order="F") for shape in ((count, count), (after, count), (after, after))
+        )
         place[front.below] = np.arange(after)
         first, end = lower.indptr[front.start], lower.indptr[front.stop]
         rows, values = lower.indices[first:end], lower.data[first:end]
-        columns = np.repeat(np.arange(own), np.diff(lower.indptr[front.start : front.stop + 1]))
+        columns = np.repeat(np.arange(count), np.diff(lower.indptr[front.start : front.stop + 1]))
         inside = rows < front.stop
         diagonal[rows[inside] - front.start, columns[inside]] = values[inside]
         under[place[rows[~inside]], columns[~inside]] = values[~inside]

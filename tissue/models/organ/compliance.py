@@ -34,12 +34,7 @@ class Factor:
         """The solver."""
         if len(self._body.free) > FACTOR_UNKNOWNS:
             return MultigridSolver(self._body)
-        if not len(self._last):
-            return DirectSolver(self._body)
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(1, "blas"):  # threads on small blocks took twice the time on a busy machine
-            return DirectSolver(self._body, last=self._last)
+        return DirectSolver(self._body, last=self._last)
 
     def expect(self, nodes: Ints) -> None:
         """Have the compliance between some nodes read off the factor, where it is yet to be made and not too large."""

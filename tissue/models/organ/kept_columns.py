@@ -5,7 +5,7 @@ back-substitutions, each column once; for a hundred nodes a quarter to a half of
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
@@ -40,11 +40,9 @@ class KeptColumns:
 
     def between(self, nodes: Ints) -> Array:
         """Compliance between some nodes of the surface [m/N], symmetric, shape (3t, 3t)."""
-        self._factor.expect(nodes)
         solver = self._factor.solver
-        if isinstance(solver, DirectSolver) and len(solver.last) and np.isin(nodes, solver.last).all():
-            places = (3 * np.searchsorted(solver.last, nodes)[:, None] + np.arange(3)).ravel()
-            return self._expected[np.ix_(places, places)]
+        if isinstance(solver, DirectSolver) and np.isin(nodes, solver.last).all():
+            return solver.compliance_between(nodes)
         missing = [int(node) for node in nodes if int(node) not in self._columns]
         if 8 * 3 * len(self._rows) * (len(self._columns) + len(missing)) > LIMIT_BYTES:
             self._columns.clear()
@@ -53,12 +51,6 @@ class KeptColumns:
         rows = (3 * np.searchsorted(self._surface, nodes)[:, None] + np.arange(3)).ravel()
         matrix: Array = np.concatenate([self._columns[int(node)][rows] for node in nodes], axis=1)
         return 0.5 * (matrix + matrix.T)
-
-    @cached_property
-    def _expected(self) -> Array:
-        """Compliance of what was expected to be touched [m/N]."""
-        assert isinstance(self._factor.solver, DirectSolver)
-        return self._factor.solver.compliance_of_last_m_N()
 
     def _find(self, nodes: list[int]) -> None:
         from threadpoolctl import threadpool_limits

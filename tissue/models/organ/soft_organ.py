@@ -211,6 +211,8 @@ class SoftOrgan:
             As of `touchable`, or if the nodes that can be touched would not fit memory.
         """
         touchable, faces = self.touchable(probe, tips_m, rotations)
+        if path is None or path == "condensed":
+            self.factor.expect(touchable)
         load, rest = self.rest
         report("condensing the compliance to the surface that can be touched", 0.0)
         if path is None:
