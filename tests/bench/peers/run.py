@@ -37,7 +37,7 @@ PEERS = {
 ALONE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """One thread of BLAS for all: on a machine that is not idle more of them wait for each other."""
 DIFFERS = {
-    "scikit-fem": "same matrix, same solution; its solver is SuperLU as scipy has it, ours the same with our ordering",
+    "scikit-fem": "same matrix, same solution; its solver is SuperLU as scipy has it, ours a multifrontal Cholesky factor",
     "mujoco": "it steps masses and rings or is damped, its press is half of ours (why is not known; a static frictionless scikit-fem solve on the same meshes presses 1.11 and 0.53 N, ours without friction 1.08 and 0.51), and it makes the whole body anew each step; ours is "
     "quasi-static on the compliance of the top, prepared beforehand",
     "newton": "it steps masses by penalties and gives no press; the step ends after its iterations, converged or not; cells of five tetrahedra instead of six",

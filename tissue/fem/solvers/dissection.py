@@ -11,7 +11,7 @@ __all__ = ["dissected", "dissection"]
 
 LEVELS = 10
 """Halvings of the box that the curve follows."""
-LEAF = 16
+LEAF = 32
 """Sets of at most this many nodes are not cut further."""
 
 
