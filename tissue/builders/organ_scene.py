@@ -7,6 +7,7 @@ import numpy as np
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.shapes.polyline import kept_corners
+from tissue.builders.device import opens_device
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.organ_body import capsule_of, density_of, prony_of
 from tissue.builders.organ_law import law_of
@@ -85,10 +86,10 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     if isinstance(probe, ShellProbe):
         notes["tool"] = shell_note(scene.tool, probe)
     law = law_of(organ, elasticity)
-    if law is not None and scene.device != "none":
+    if law is not None and opens_device(scene):
         raise InputError(
             f"device and organ.law must be left out together, got {scene.device} and {organ.law}: remove one, "
-            "how stable a coupling to an organ that stiffens is cannot be judged yet"
+            "a real device would wait where solving the law takes longer than its interval"
         )
     capsule, density = capsule_of(organ, notes, scene.constants), density_of(organ, scene.constants)
     report("compiling kernels (the first time on a machine)", 0.0)
