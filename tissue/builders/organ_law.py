@@ -1,14 +1,23 @@
-"""The hyperelastic law that a scene asks for, with the small strains of the linear one."""
+"""The hyperelastic law that a scene asks for, with the small strains of the linear one, and the mesh for it."""
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.progress import Progress
+from tissue.builders.device import opens_device
+from tissue.builders.organ import HeldMesh, elasticity_of, held_mesh
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.scene.named_parts import shown
-from tissue.scene.organ import Organ
+from tissue.scene.organ import LiverAnatomy, Organ, SlabAnatomy
+from tissue.scene.scene import Scene
 
-__all__ = ["law_of"]
+if TYPE_CHECKING:
+    from tissue.models.organ.law import OrganLaw
+
+__all__ = ["coarser_mesh", "law_of", "organ_law"]
 
 NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
 """Keys of an organ that a hyperelastic law cannot have yet."""
@@ -45,6 +54,63 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     first, shear = lame_Pa[0].tolist()
     bulk = first + 2.0 / 3.0 * shear
     return _law(organ, shear, bulk), np.asarray(lame_Pa[:, 1] / shear)
+
+
+def coarser_mesh(scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: float, report: Progress) -> HeldMesh:
+    """The mesh of a scene's organ with edges longer by a ratio; other arguments as of `held_mesh`.
+
+    A nodule asks for cells as short as the scene's, and tetrahedra from a file keep theirs away from the tool.
+    """
+    anatomy = scene.anatomy
+    assert isinstance(anatomy, LiverAnatomy | SlabAnatomy)
+    edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_diameter_mm else ratio)
+    # Not as if it had been set: tetrahedra from a file have edges of their own.
+    coarse = type(anatomy).model_construct(anatomy.model_fields_set, **(dict(anatomy) | {"edge_mm": edge_mm}))
+    return held_mesh(coarse, path_m=path_m, touch_edge_m=ratio * touch_edge_m, report=report)
+
+
+def organ_law(
+    scene: Scene, lame_Pa: Array, *, path_m: Array, touch_edge_m: float, compute: str, report: Progress
+) -> "OrganLaw | None":
+    """The law of a scene's organ and the mesh on which it is solved; None for the linear one.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    lame_Pa
+        Lame constants of the cells of the organ's mesh [Pa], shape (m, 2).
+    path_m, touch_edge_m, report
+        As of `held_mesh`.
+    compute
+        Warp device name.
+
+    Raises
+    ------
+    InputError
+        As of `law_of`, or if a real device would wait for the law.
+    """
+    from tissue.models.organ.law import OrganLaw
+    from tissue.models.organ.soft_organ import SoftOrgan
+
+    organ = scene.organ
+    found = law_of(organ, lame_Pa)
+    if found is None:
+        return None
+    if opens_device(scene):
+        raise InputError(
+            f"device and organ.law must be left out together, got {scene.device} and {organ.law}: remove one, "
+            "a real device would wait where solving the law takes longer than its interval"
+        )
+    law, factors = found
+    interval_s = 1e-3 * organ.law_interval_ms
+    if organ.law_edge_ratio == 1.0:
+        return OrganLaw(law, factors, interval_s)
+    mesh = coarser_mesh(scene, path_m=path_m, touch_edge_m=touch_edge_m, ratio=organ.law_edge_ratio, report=report)
+    assert isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy)
+    moduli, _ = elasticity_of(mesh.mesh, scene.anatomy, organ, scene.constants)
+    coarser = SoftOrgan(mesh.mesh, moduli, mesh.held, order=organ.order, device=compute)
+    return OrganLaw(law, factors, interval_s, (coarser, moduli[:, 1] / law.shear_Pa))
 
 
 def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:

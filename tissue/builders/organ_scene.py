@@ -4,13 +4,12 @@ from math import inf
 
 import numpy as np
 
-from meshes.base.errors import InputError, names_of_caller
+from meshes.base.errors import names_of_caller
 from meshes.base.progress import Progress
 from meshes.shapes.polyline import kept_corners
-from tissue.builders.device import opens_device
 from tissue.builders.organ import elasticity_of, held_mesh
 from tissue.builders.organ_body import capsule_of, density_of, prony_of
-from tissue.builders.organ_law import law_of
+from tissue.builders.organ_law import organ_law
 from tissue.builders.parts import Parts
 from tissue.builders.pierced_tissue import pierced_tissue
 from tissue.builders.probe import poses_along, require_outside, shell_note
@@ -85,21 +84,18 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     notes |= found.notes | {"modulus": note}
     if isinstance(probe, ShellProbe):
         notes["tool"] = shell_note(scene.tool, probe)
-    law = law_of(organ, elasticity)
-    if law is not None and opens_device(scene):
-        raise InputError(
-            f"device and organ.law must be left out together, got {scene.device} and {organ.law}: remove one, "
-            "a real device would wait where solving the law takes longer than its interval"
-        )
+    law = organ_law(
+        scene, elasticity, path_m=path, touch_edge_m=1e-3 * edge_mm, compute=compute, report=report
+    )  # fmt: skip
     capsule, density = capsule_of(organ, notes, scene.constants), density_of(organ, scene.constants)
     report("compiling kernels (the first time on a machine)", 0.0)
-    from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
+    from tissue.models.organ.soft_organ import SoftOrgan
 
     require_outside(found.mesh, motion)
     soft = SoftOrgan(
         found.mesh, elasticity, found.held, order=organ.order, capsule=capsule, density_kg_m3=density, prony=prony,
         friction=organ.friction, device=compute,
-        law=None if law is None else OrganLaw(*law, 1e-3 * organ.law_interval_ms),
+        law=law,
     )  # fmt: skip
     report("assembling the stiffness", 0.0)
     tips, turns = poses_along(motion, within_m)
@@ -112,7 +108,8 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
         sag = 1e3 * np.linalg.norm(soft.rest[1], axis=1).max()
         notes["gravity"] = f"the organ sags by up to {sag:.3g} mm before it is touched"
     if law is not None:
-        notes["law"] = f"{organ.law}, solved every {organ.law_interval_ms:g} ms, between ticks"
+        on = soft if law.coarser is None else law.coarser[0]
+        notes["law"] = f"{organ.law}, solved every {organ.law_interval_ms:g} ms on {len(on.body.free)} unknowns"
     notes["solved"] = (
         f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(soft.body.free)} unknowns; "
         f"{touchable} touchable nodes, compliance {organ.path}"

@@ -187,7 +187,7 @@ def _organ(scene: "Scene") -> list[Rule]:
         ("organ.second_share", organ.law != "mooney-rivlin", law, "set organ.law = mooney-rivlin"),
         ("organ.square_ratio organ.cube_ratio", organ.law != "yeoh", law, "set organ.law = yeoh"),
         ("organ.exponent", organ.law != "ogden", law, "set organ.law = ogden"),
-        ("organ.law_interval_ms", organ.law == "linear", law, "set organ.law = neo-hookean"),
+        ("organ.law_interval_ms organ.law_edge_ratio", organ.law == "linear", law, "set organ.law = neo-hookean"),
         ("organ.basis_size", organ.path != "reduced", path, "set organ.path = reduced"),
         ("organ.material", given and not cited, both, "remove one of them"),
         ("anatomy.nodule_centre_mm", anatomy.nodule_diameter_mm == 0.0, "without a nodule", ball),

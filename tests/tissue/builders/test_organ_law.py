@@ -87,10 +87,6 @@ def test_what_a_law_cannot_have_is_refused(changes, sentence):
             "organ.second_share must be left out",
         ),
         ({"organ.law_interval_ms": 50.0}, "organ.law_interval_ms must be left out with organ.law = linear"),
-        (
-            {"organ.law": "neo-hookean", "device": "touch"},
-            "device and organ.law must be left out together, got touch and neo-hookean",
-        ),
     ],
 )
 def test_keys_of_laws_are_refused_where_they_have_no_effect(changes, sentence):
@@ -104,3 +100,12 @@ def test_at_a_small_depth_a_law_gives_the_force_of_the_linear_one():
         for law in ({}, {"law": "neo-hookean"})
     ]
     assert peaks[1] == pytest.approx(peaks[0], rel=0.01)
+
+
+def test_a_real_device_is_refused_and_a_simulated_one_is_not(monkeypatch):
+    """A simulated one waits for the law, as the run does."""
+    scene = load_scene("palpation", pressed(1.0, law="neo-hookean") | {"device": "touch"})
+    assert simulate(scene, cores=1).trace["force_z_N"].max() > 0.0
+    monkeypatch.setattr("tissue.builders.organ_law.opens_device", lambda _: True)
+    with pytest.raises(InputError, match=r"device and organ\.law must be left out together, got touch and neo"):
+        simulate(scene, cores=1)

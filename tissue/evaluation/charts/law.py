@@ -19,7 +19,8 @@ from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
 from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.regions import faces_of
-from tissue.builders.organ import elasticity_of, held_mesh
+from tissue.builders.organ import elasticity_of
+from tissue.builders.organ_law import coarser_mesh
 from tissue.builders.registry import motion_of
 from tissue.evaluation.charts.error_bounds import bound_row
 from tissue.evaluation.charts.keys import machine, scene_text, sources
@@ -174,19 +175,14 @@ def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[Newto
     from tissue.fem.space import Space
 
     assert isinstance(scene.anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
-    # A nodule asks for cells as short as the scene's.
-    edge_mm = scene.anatomy.edge_mm * (1.0 if scene.anatomy.nodule_diameter_mm else coarser)
-    coarse = dict(scene.anatomy) | {"edge_mm": edge_mm}
-    # Not as if it had been set: tetrahedra from a file have edges of their own.
-    anatomy = type(scene.anatomy).model_construct(scene.anatomy.model_fields_set, **coarse)
-    touch_mm = coarser * (anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm)
+    edge_m = 1e-3 * (scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm)
     path = motion_of(scene, step_s=TICK_S).sweep_m()
-    found = held_mesh(anatomy, path_m=path, touch_edge_m=1e-3 * touch_mm, report=silent)
+    found = coarser_mesh(scene, path_m=path, touch_edge_m=edge_m, ratio=coarser, report=silent)
     space = Space(found.mesh, scene.organ.order)
     held = np.zeros((space.node_count, 3), dtype=bool)
     held[found.held] = True
     held[space.with_middles(faces_of(space.mesh, found.held))] = True
-    lame, _ = elasticity_of(found.mesh, anatomy, scene.organ, scene.constants)
+    lame, _ = elasticity_of(found.mesh, scene.anatomy, scene.organ, scene.constants)
     solvers: list[NewtonSolver] = []
     for law in laws:  # the stiffness at rest is the same for all
         known = solvers[0].precondition if solvers else None

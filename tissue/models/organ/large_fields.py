@@ -1,41 +1,23 @@
 """Displacement, strain and stress of an organ under a hyperelastic law, from the forces on its surface."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from tissue.fem.fields import StressState
+from tissue.fem.quasi_newton import QuasiNewton
 from tissue.fem.shapes import gradient_slopes
 from tissue.fem.space import Space
 from tissue.materials.hyperelasticity import Hyperelastic
-from tissue.models.organ.law_offset import LawOffset
 
-__all__ = ["LargeFields", "OrganLaw", "cauchy_stress"]
+__all__ = ["LargeFields", "cauchy_stress"]
 
 TOLERANCE, STEPS = 1e-3, 100
 """Of a frame's equilibrium: greatest force that is not balanced over the greatest of the load; most steps."""
 PLACES = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 """Rows and columns of the components xx, yy, zz, yz, xz, xy."""
-
-
-@dataclass(frozen=True, eq=False)
-class OrganLaw:
-    """A hyperelastic law of an organ.
-
-    Attributes
-    ----------
-    law
-        The law of a cell whose factor is 1.
-    cell_factors
-        What its moduli are multiplied by in each cell, shape (m,).
-    interval_s
-        Time between two solves, between ticks [s].
-    """
-
-    law: Hyperelastic
-    cell_factors: Array
-    interval_s: float
 
 
 class LargeFields:
@@ -45,14 +27,28 @@ class LargeFields:
     ----------
     space
         Nodes and cells.
-    law
-        What they are made of.
-    offset
-        Whose equilibria they are.
+    law, cell_factors
+        The law, and what its moduli are multiplied by in each cell, shape (m,).
+    follower
+        Makes what finds the equilibria; called when the first is asked for.
+    touchable
+        Nodes on which forces act, shape (t,).
     """
 
-    def __init__(self, space: Space, law: OrganLaw, offset: LawOffset) -> None:
-        self._space, self._law, self._offset = space, law, offset
+    def __init__(
+        self,
+        space: Space,
+        law: Hyperelastic,
+        cell_factors: Array,
+        follower: Callable[[], QuasiNewton],
+        touchable: Ints,
+    ) -> None:
+        self._space, self._law, self._cell_factors, self._touchable = space, law, cell_factors, touchable
+        self._make = follower
+
+    @cached_property
+    def _follower(self) -> QuasiNewton:
+        return self._make()
 
     def under(self, forces_N: Array) -> tuple[Array, StressState, Array]:
         """Displacement [m], stress in the middle of each cell, and reaction of the supports [N], both (n, 3).
@@ -62,9 +58,11 @@ class LargeFields:
         forces_N
             On the touchable nodes, shape (t, 3).
         """
-        found = self._offset.equilibrium(forces_N, tolerance=TOLERANCE, step_limit=STEPS)
-        stress = cauchy_stress(self._space, found.displacement_m, self._law.law, self._law.cell_factors)
-        return found.displacement_m, stress, found.internal_N - self._offset.load(forces_N)
+        load = np.zeros((self._space.node_count, 3))
+        load[self._touchable] = forces_N
+        found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS)
+        stress = cauchy_stress(self._space, found.displacement_m, self._law, self._cell_factors)
+        return found.displacement_m, stress, found.internal_N - load
 
 
 def cauchy_stress(space: Space, displacement_m: Array, law: Hyperelastic, cell_factors: Array) -> StressState:

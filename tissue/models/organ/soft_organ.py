@@ -14,10 +14,7 @@ from meshes.tets.regions import faces_of
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
 from tissue.fem.capsule import capsule_stiffness
-from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.loads import gravity
-from tissue.fem.quasi_newton import QuasiNewton, Solve
-from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.space import Space
 from tissue.materials.prony import Prony
@@ -25,14 +22,13 @@ from tissue.models.organ.compliance import CompliancePath, Factor, compliance_of
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.kept_columns import KeptColumns
-from tissue.models.organ.large_fields import LargeFields, OrganLaw
-from tissue.models.organ.law_offset import LawOffset
+from tissue.models.organ.law import OrganLaw, large_fields_of, law_offset_of
 from tissue.models.organ.model import LiverModel
 from tissue.models.organ.patch import touchable_patch
 from tissue.models.organ.probe import ProbeShape, SphereProbe
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["Membrane", "OrganLaw", "SoftOrgan"]
+__all__ = ["Membrane", "SoftOrgan"]
 
 
 @dataclass(frozen=True)
@@ -232,11 +228,11 @@ class SoftOrgan:
             device=self.space.device,
             cores=cores,
         )
-        law = self._law_offset(touchable)
+        law = self._law
         fields = OrganFields(
             self.space,
             self.elasticity,
-            large=None if law is None or self._law is None else LargeFields(self.space, self._law, law),
+            large=None if law is None else large_fields_of(self, law, touchable),
             solve=self.factor.solve_all,
             product=lambda moved: (self.body.stiffness @ moved.ravel()).reshape(-1, 3),
             touchable=touchable,
@@ -253,20 +249,8 @@ class SoftOrgan:
             fields=fields,
             prony=self.prony,
             lazy=lazy,
-            law=law,
+            law=None if law is None else law_offset_of(self, law, touchable),
             ball_radius_m=radius,
             step_s=step_s,
         )
         return model, len(touchable)
-
-    def _solver_of(self, stiffness: bsr_array) -> Solve:
-        solver = DirectSolver(HeldBody(stiffness, self.space.nodes_m, self.body.fixed))
-        return lambda load_N: solver.solve(load_N).displacement_m
-
-    def _law_offset(self, touchable: Ints) -> LawOffset | None:
-        """How far the law has these nodes from where the compliance at rest has them; None for the linear law."""
-        if self._law is None:
-            return None
-        body = NonlinearBody(self.space, None, law=self._law.law, cell_factors=self._law.cell_factors)
-        follower = QuasiNewton(body, self.body.fixed, self.factor.solve, self._solver_of)
-        return LawOffset(follower, self.body, self.factor.solve, touchable, interval_s=self._law.interval_s)

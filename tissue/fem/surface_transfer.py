@@ -1,0 +1,42 @@
+"""From the nodes of one mesh to points on the surface of another mesh of the same body."""
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from meshes.base.arrays import Array
+from tissue.fem.shapes import TRIANGLE_EDGES
+from tissue.fem.space import Space
+
+__all__ = ["surface_transfer"]
+
+
+def surface_transfer(space: Space, points_m: Array) -> csr_array:
+    """Shares of the nodes in what points of the surface have, shape (k, n).
+
+    Times displacements of the nodes it gives those of the points; its transpose takes forces on the points to forces
+    on the nodes that do the same work.
+
+    Parameters
+    ----------
+    space
+        Nodes and cells.
+    points_m
+        Points [m], shape (k, 3); each takes part as the point of the surface that is nearest to it.
+    """
+    import pyvista
+
+    corners = space.mesh.surface
+    surface = pyvista.PolyData.from_regular_faces(space.mesh.nodes_m, corners.astype(int))
+    face, nearest = surface.find_closest_cell(np.ascontiguousarray(points_m), return_closest_point=True)
+    origin, first, second = space.mesh.nodes_m[corners[face]].transpose(1, 0, 2)
+    sides = np.stack([first - origin, second - origin], axis=1)
+    along = np.einsum("kai,ki->ka", sides, nearest - origin)
+    share = np.linalg.solve(sides @ sides.transpose(0, 2, 1), along[..., None])[..., 0]
+    corner = np.column_stack([1.0 - share.sum(axis=1), share])
+    shape = corner
+    if space.order == 2:
+        middle = [4.0 * corner[:, a] * corner[:, b] for a, b in TRIANGLE_EDGES]
+        shape = np.column_stack([corner * (2.0 * corner - 1.0), *middle])
+    nodes = space.faces[face]
+    rows = np.repeat(np.arange(len(points_m)), nodes.shape[1])
+    return csr_array((shape.ravel(), (rows, nodes.ravel())), shape=(len(points_m), space.node_count))
