@@ -33,7 +33,13 @@ NUMBER = r"(?<![\w.+-])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])"
 
 
 class InputError(ValueError):
-    """An input that cannot be used: one sentence with argument, value, requirement and remedy."""
+    """An input that cannot be used: one sentence with argument, value, requirement and remedy.
+
+    A line break in it, such as one in a file's name, is shown as it is written in a string.
+    """
+
+    def __init__(self, *sentence: object) -> None:
+        super().__init__(*(each.replace("\n", "\\n") if isinstance(each, str) else each for each in sentence))
 
 
 class DamagedFileError(Exception):

@@ -16,16 +16,15 @@ from scipy.sparse import bsr_array
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.fem.hyperelastic import NonlinearBody
+from tissue.fem.solvers.direct import DirectSolver
 
-__all__ = ["Followed", "QuasiNewton", "Solve"]
-
-Solve = Callable[[Array], Array]
+__all__ = ["Followed", "QuasiNewton"]
 
 MEMORY = 12
 """Steps whose curvature is kept."""
 HALVINGS = 12
 ARMIJO, ROUNDING = 1e-4, 1e-12
-MANY = 8
+MANY = 4
 """Steps of a solve after which the stiffness of where it is takes the place of the one before."""
 
 
@@ -58,20 +57,26 @@ class QuasiNewton:
         The body.
     fixed
         Components that are held where they are, shape (n, 3).
-    solve
-        Displacement [m] by the stiffness at rest under a load [N], zero where fixed, shapes (n, 3).
+    at_rest
+        Factor of the stiffness at rest.
     factorise
-        The same for another stiffness [N/m]; raises `InputError` where it cannot.
+        Makes that of another stiffness [N/m]; raises `InputError` where it cannot.
+
+    Attributes
+    ----------
+    factor
+        The factor of last, of the stiffness at rest or of a place that was passed since.
     """
 
     def __init__(
         self,
         body: NonlinearBody,
         fixed: NDArray[np.bool_],
-        solve: Solve,
-        factorise: Callable[[bsr_array], Solve],
+        at_rest: DirectSolver,
+        factorise: Callable[[bsr_array], DirectSolver],
     ) -> None:
-        self._body, self._fixed, self._at_rest, self._solve, self._factorise = body, fixed, solve, solve, factorise
+        self._body, self._fixed, self.at_rest, self._factorise = body, fixed, at_rest, factorise
+        self.factor = at_rest
         self._displacement = np.zeros(fixed.shape)
         self._energy, self._internal = body.energy_and_force(self._displacement)
         self._pairs: deque[tuple[Array, Array, float]] = deque(maxlen=MEMORY)
@@ -84,9 +89,9 @@ class QuasiNewton:
         while (worst := float(np.abs(left).max())) > tolerance * size and steps < step_limit:
             step = self._inverse(left)
             if not self._advance(step, load_N, float(np.sum(left * step))):
-                if self._solve is self._at_rest and not self._pairs:
+                if self.factor is self.at_rest and not self._pairs:
                     break
-                self._solve = self._at_rest
+                self.factor = self.at_rest
                 self._pairs.clear()
             left = np.where(self._fixed, 0.0, load_N - self._internal)
             steps += 1
@@ -119,9 +124,9 @@ class QuasiNewton:
         """Go on with the stiffness of this place."""
         self._pairs.clear()
         try:
-            self._solve = self._factorise(self._body.stiffness(self._displacement))
+            self.factor = self._factorise(self._body.stiffness(self._displacement))
         except InputError:
-            self._solve = self._at_rest
+            self.factor = self.at_rest
 
     def _inverse(self, left_N: Array) -> Array:
         """The inverse of the stiffness about here, times forces (two loops of Nocedal 1980)."""
@@ -130,7 +135,7 @@ class QuasiNewton:
             share = inverse * float(np.sum(change * forces))
             shares.append(share)
             forces -= share * force
-        step = self._solve(forces)
+        step = self.factor.solve(forces).displacement_m
         for (change, force, inverse), share in zip(self._pairs, reversed(shares), strict=True):
             step += change * (share - inverse * float(np.sum(force * step)))
         return step

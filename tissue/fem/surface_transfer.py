@@ -9,6 +9,9 @@ from tissue.fem.space import Space
 
 __all__ = ["surface_transfer"]
 
+NONE = 1e-9
+"""Shares below this are rounding."""
+
 
 def surface_transfer(space: Space, points_m: Array) -> csr_array:
     """Shares of the nodes in what points of the surface have, shape (k, n).
@@ -38,5 +41,8 @@ def surface_transfer(space: Space, points_m: Array) -> csr_array:
         middle = [4.0 * corner[:, a] * corner[:, b] for a, b in TRIANGLE_EDGES]
         shape = np.column_stack([corner * (2.0 * corner - 1.0), *middle])
     nodes = space.faces[face]
+    shape = np.where(np.abs(shape) < NONE, 0.0, shape)
     rows = np.repeat(np.arange(len(points_m)), nodes.shape[1])
-    return csr_array((shape.ravel(), (rows, nodes.ravel())), shape=(len(points_m), space.node_count))
+    shares = csr_array((shape.ravel(), (rows, nodes.ravel())), shape=(len(points_m), space.node_count))
+    shares.eliminate_zeros()
+    return shares

@@ -14,7 +14,7 @@ from tissue.fem.solvers.lazy_compliance import LazyCompliance
 from tissue.fem.solvers.multigrid import MultigridSolver
 from tissue.fem.solvers.reduced import ReducedSolver
 
-__all__ = ["CompliancePath", "Factor", "compliance_of"]
+__all__ = ["FACTOR_UNKNOWNS", "CompliancePath", "Factor", "compliance_of"]
 
 FACTOR_UNKNOWNS = 200_000
 """Above this, frames are solved by multigrid: a factor would take gigabytes."""

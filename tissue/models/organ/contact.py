@@ -172,6 +172,13 @@ class SurfaceContact:
         gather_all_again(self._patch)
         self._stages = self._recorded()
 
+    def change_compliance(self, compliance_m_N: Array) -> None:
+        """Take another compliance from the next solve on [m/N], shape (3s, 3s)."""
+        self.result.compliance_m_N[:] = compliance_m_N
+        if not self._on_host:
+            self._body.compliance.assign(compliance_m_N)
+        gather_all_again(self._patch)
+
     def shift(self, offset_m: Array) -> None:
         """Set how far nodes lie from rest without contact in the next solve [m], shape (s, 3): what has crept."""
         self._body.free.assign(self.nodes_m + offset_m)

@@ -3,15 +3,18 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 from scipy.sparse import bsr_array
 
 from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.quasi_newton import QuasiNewton, Solve
+from tissue.fem.quasi_newton import QuasiNewton
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.surface_transfer import surface_transfer
 from tissue.materials.hyperelasticity import Hyperelastic
+from tissue.models.organ.compliance import FACTOR_UNKNOWNS
 from tissue.models.organ.large_fields import LargeFields
 from tissue.models.organ.law_offset import LawOffset
 
@@ -44,25 +47,37 @@ class OrganLaw:
 
 
 def law_offset_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> LawOffset:
-    """How far the law has the touchable nodes of an organ, shape (t,), from where the compliance at rest has them."""
+    """How far the law has the touchable nodes of an organ, shape (t,), from where the compliance at rest has them.
+
+    Raises
+    ------
+    InputError
+        If the mesh is too large for a factor.
+    """
     on, factors = law.coarser or (organ, law.cell_factors)
     transfer = surface_transfer(on.space, organ.space.nodes_m[touchable])
-    return LawOffset(_follower(on, law.law, factors), on.body, on.factor.solve, transfer, interval_s=law.interval_s)
+    nodes = np.unique(transfer.indices)
+    on.factor.expect(nodes)
+    return LawOffset(_follower(on, law.law, factors, nodes), on.body.fixed, transfer, interval_s=law.interval_s)
 
 
 def large_fields_of(organ: "SoftOrgan", law: OrganLaw, touchable: Ints) -> LargeFields:
     """Displacement, strain and stress of an organ under forces on its touchable nodes, on its mesh."""
-    return LargeFields(
-        organ.space, law.law, law.cell_factors, lambda: _follower(organ, law.law, law.cell_factors), touchable
-    )
+    factors = law.cell_factors
+    return LargeFields(organ.space, law.law, factors, lambda: _follower(organ, law.law, factors, touchable), touchable)
 
 
-def _follower(organ: "SoftOrgan", law: Hyperelastic, cell_factors: Array) -> QuasiNewton:
-    """What follows the equilibria of an organ."""
+def _follower(organ: "SoftOrgan", law: Hyperelastic, cell_factors: Array, nodes: Ints) -> QuasiNewton:
+    """What follows the equilibria of an organ; its factors know the compliance between some nodes."""
+    at_rest = organ.factor.solver
+    if not isinstance(at_rest, DirectSolver):
+        raise InputError(
+            f"organ.law must be linear on more than {FACTOR_UNKNOWNS:,} unknowns, got {len(organ.body.free):,}: "
+            "use longer edges"
+        )
 
-    def solver_of(stiffness: bsr_array) -> Solve:
-        solver = DirectSolver(HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed))
-        return lambda load_N: solver.solve(load_N).displacement_m
+    def factorised(stiffness: bsr_array) -> DirectSolver:
+        return DirectSolver(HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed), last=nodes)
 
     body = NonlinearBody(organ.space, None, law=law, cell_factors=cell_factors)
-    return QuasiNewton(body, organ.body.fixed, organ.factor.solve, solver_of)
+    return QuasiNewton(body, organ.body.fixed, at_rest, factorised)

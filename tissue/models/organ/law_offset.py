@@ -1,35 +1,34 @@
-"""A hyperelastic organ at 1 kHz: the compliance at rest in every tick, and between ticks how far the law is from it.
+"""A hyperelastic organ at 1 kHz: a compliance for every tick, and between ticks how far the law is from it.
 
-Under nodal forces f the surface of the organ moves by u(f). Near an equilibrium u_k with the internal forces g_k, with
-W the compliance at rest (one step of Newton's method with the stiffness at rest)::
+Under nodal forces f the surface of the organ moves by u(f). Near an equilibrium u_k, f_k, with W a compliance::
 
-    u(f) = W f + offset_k,    offset_k = u_k - K^-1 g_k on the surface
+    u(f) = W f + offset_k,    offset_k = u_k - W f_k
 
-so that a contact on W with this offset is in equilibrium with the law as soon as u_k belongs to the forces that act. At
-the end of every interval the equilibrium of the forces of that moment is found; the offset goes over to the new one
-within the next interval, without a step. It follows the depth of the tool by its change since the last one. Solved
-on a coarser mesh of the organ, K is that mesh's: its errors are nearly the same with the law and without.
+so that a contact on W with this offset is in equilibrium with the law as soon as f_k are the forces that act. At the
+end of every interval the equilibrium of the forces of that moment is found; the offset goes over to the new one within
+the next interval, without a step. It follows the depth of the tool by its change since the last one. W is that of rest
+until the equilibria are far from it; then that of the tangent stiffness where the tissue is (Newton's method).
+
+Equilibria may be solved on a coarser mesh: u = W_rest f + T (u_c - K_c^-1 T^T f), with T from its nodes to those that
+can be touched, and W = W_rest + T (K_t^-1 - K_c^-1) T^T. Its errors are nearly the same with the law and without.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-from scipy.sparse import csr_array
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, kron
 
 from meshes.base.arrays import Array
 from tissue.fem.quasi_newton import QuasiNewton
-from tissue.fem.solvers.held_body import HeldBody
+from tissue.models.organ.contact import SurfaceContact
 from tissue.models.tissue_model import SLOW
 
 __all__ = ["LawOffset"]
 
 TOLERANCE, STEPS = 0.02, 30
 """Of the forces that nothing balances at the end of a solve, over the greatest nodal force; most steps of a solve."""
-TAKEN = 0.5
-"""Share of what a solve changes that is taken: so that forces settle
-where the organ is up to 4 times as compliant as at rest."""
 APART_M = 2e-4
 """Least change of depth from which the change of the offset with it is taken [m]."""
 FARTHEST = 2.0
@@ -53,36 +52,37 @@ class _Line:
 
 
 class LawOffset:
-    """How far the touchable nodes of an organ are from where the compliance at rest has them.
+    """How far the touchable nodes of an organ are from where a compliance has them.
 
     Parameters
     ----------
     follower
         The law's equilibria.
-    body, solve
-        Of the same mesh, stiffness at rest and supports, and displacement [m] under a load [N] by it, shape (n, 3).
+    fixed
+        Components of that mesh's nodes that are held, shape (n, 3).
     transfer
-        Shares of that mesh's nodes in those that the contact knows, shape (t, n).
+        Shares of that mesh's nodes in those that the contact knows, shape (t, n); the follower's factors know the
+        compliance between all nodes that have one.
     interval_s
         Time between two solves [s].
     """
 
     def __init__(
-        self,
-        follower: QuasiNewton,
-        body: HeldBody,
-        solve: Callable[[Array], Array],
-        transfer: csr_array,
-        *,
-        interval_s: float,
+        self, follower: QuasiNewton, fixed: NDArray[np.bool_], transfer: csr_array, *, interval_s: float
     ) -> None:
-        self._follower, self._body, self._solve = follower, body, solve
-        self._transfer, self._spread = transfer, csr_array(transfer.T)
+        self._follower, self._fixed = follower, fixed
+        self._spread = csr_array(transfer.T)
+        self._nodes = np.unique(transfer.indices)
+        self._near = csr_array(transfer[:, self._nodes])
+        self._each = csr_array(kron(self._near, np.eye(3)))
         self.interval_s = interval_s
-        none = np.zeros((transfer.shape[0], 3))
+        none, there = np.zeros((transfer.shape[0], 3)), np.zeros((len(self._nodes), 3))
         self._offset = none.copy()
         self._before = self._now = _Line(none, none, 0.0, 0.0)
-        self._apart: tuple[float, Array] = (0.0, none)
+        self._apart = (0.0, there, there)
+        self._factor = follower.at_rest
+        self._rest = self._between = self._factor.compliance_between(self._nodes)
+        self._at_rest: Array | None = None
         self._changed_s, self._next_s = 0.0, interval_s
         self.notices: list[str] = []
         self._unsettled = self._late = False
@@ -100,26 +100,45 @@ class LawOffset:
         """The offset of the last tick [m], shape (t, 3)."""
         return self._offset
 
-    def renew(self, time_s: float, depth_m: float, forces_N: Array) -> None:
-        """Where an interval ends, find the equilibrium of the forces on the touchable nodes, shape (t, 3)."""
+    def renew(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
+        """Where an interval ends, find the equilibrium of the forces of a contact, and how it goes on from there."""
         if time_s < self._next_s - 1e-9:
             return
         started = perf_counter()
-        found = self._follower.follow(self._spread @ forces_N, tolerance=TOLERANCE, step_limit=STEPS)
-        internal = np.where(self._body.fixed, 0.0, found.internal_N)
-        at_rest = self._solve(internal) if internal.any() else internal
-        offset_m = np.asarray(self._transfer @ (found.displacement_m - at_rest))
-        expected_m = np.zeros_like(offset_m)
-        self._now.into(expected_m, depth_m, 1.0)
-        offset_m = expected_m + TAKEN * (offset_m - expected_m)
-        last_m, last = self._apart
+        load = self._spread @ contact.result.nodal_forces_N
+        found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS)
+        forces = load[self._nodes]
+        if self._follower.factor is not self._factor:
+            self._change_compliance(contact, forces, depth_m)
+        left = np.where(self._fixed, 0.0, load - found.internal_N)
+        moved = (found.displacement_m + self._factor.solve(left).displacement_m)[self._nodes]
+        offset = self._off(moved, forces)
+        last_m, *last = self._apart
         slope, reach_m = self._now.slope, self._now.reach_m
         if abs(depth_m - last_m) >= APART_M:
-            slope, reach_m = (offset_m - last) / (depth_m - last_m), FARTHEST * abs(depth_m - last_m)
-            self._apart = (depth_m, offset_m)
-        self._before, self._now = self._now, _Line(offset_m, slope, depth_m, reach_m)
+            slope, reach_m = (offset - self._off(*last)) / (depth_m - last_m), FARTHEST * abs(depth_m - last_m)
+            self._apart = (depth_m, moved, forces)
+        self._before, self._now = self._now, _Line(offset, slope, depth_m, reach_m)
         self._changed_s, self._next_s = time_s, time_s + self.interval_s
         self._report(found.residual, perf_counter() - started)
+
+    def _off(self, moved_m: Array, forces_N: Array) -> Array:
+        """Offset of the touchable nodes [m] by displacements of the solved nodes under forces on them."""
+        there: Array = self._near @ (moved_m - (self._between @ forces_N.ravel()).reshape(-1, 3))
+        return there
+
+    def _change_compliance(self, contact: SurfaceContact, forces_N: Array, depth_m: float) -> None:
+        """Go on with the compliance of the stiffness that was factorised last; nothing moves by that."""
+        if self._at_rest is None:
+            self._at_rest = contact.result.compliance_m_N.copy()
+        self._factor, before = self._follower.factor, self._between
+        self._between = self._factor.compliance_between(self._nodes)
+        change = self._each @ (self._each @ (self._between - self._rest)).T
+        contact.change_compliance(self._at_rest + 0.5 * (change + change.T))
+        at_m = np.zeros_like(self._offset)
+        self._now.into(at_m, depth_m, 1.0)
+        at_m += self._near @ ((before - self._between) @ forces_N.ravel()).reshape(-1, 3)
+        self._now = _Line(at_m, self._now.slope, depth_m, self._now.reach_m)
 
     def _report(self, residual: float, took_s: float) -> None:
         if residual > TOLERANCE and not self._unsettled:

@@ -161,7 +161,7 @@ class LiverModel:
         """Solve a hyperelastic law where that is due."""
         if self._law is not None:
             depth_m = 1e-3 * float(self._response.measures[0])
-            self._law.renew(time_s, depth_m, self.contact.result.nodal_forces_N)
+            self._law.renew(time_s, depth_m, self.contact)
             self.notices += self._law.notices
             self._law.notices.clear()
 
