@@ -24,7 +24,7 @@ MEMORY = 12
 """Steps whose curvature is kept."""
 HALVINGS = 12
 ARMIJO, ROUNDING = 1e-4, 1e-12
-MANY = 4
+MANY = 8
 """Steps of a solve after which the stiffness of where it is takes the place of the one before."""
 
 

@@ -114,7 +114,7 @@ class Organ(Part):
     """The same of the third power."""
     exponent: float | None = Field(None, ge=-30, le=30, examples=[8.0])
     """Exponent of the stretches of an Ogden law of one term; not 0."""
-    law_interval_ms: float = Field(10.0, ge=5, le=1000)
+    law_interval_ms: float = Field(25.0, ge=5, le=1000)
     """Time between two solves of a law that is not linear."""
     law_edge_ratio: float = Field(1.4, ge=1, le=4)
     """Edges of the mesh on which that law is solved, over those of the organ's."""
