@@ -176,6 +176,23 @@ def test_a_scaled_compliance_and_shifted_nodes_are_those_of_another_organ(slab):
     np.testing.assert_allclose(result.displacement_m(), other.result.displacement_m(), atol=1e-9)
 
 
+def test_another_compliance_with_the_surface_where_it_was_leaves_the_force(slab):
+    """Half as stiff, and shifted by what that would move: nothing changes until the tool goes on."""
+    options, path = {"spacing_m": 1.0, "friction": 0.4} | TIGHT, away([0.002, 0.0, -0.003])
+    contact = SurfaceContact(slab.rest, slab.faces, slab.compliance.copy(), SphereProbe(0.01), **options)
+    before = along(contact, path)
+    force, moved = before.force_N.copy(), before.displacement_m().copy()
+    contact.change_compliance(2.0 * slab.compliance)
+    contact.shift(moved - before.displacement_m())
+    tip = np.array(path[-1])
+    result = contact.solve(tip, np.eye(3))
+    np.testing.assert_allclose(result.force_N, force, atol=1e-6 * np.linalg.norm(force))
+    deeper = contact.solve(tip - [0.0, 0.0, 1e-5], np.eye(3)).force_N[2] - force[2]
+    plain = SurfaceContact(slab.rest, slab.faces, slab.compliance, SphereProbe(0.01), **options)
+    stiffer = along(plain, [*path, tip - [0.0, 0.0, 1e-5]]).force_N[2] - force[2]
+    assert 0.3 * stiffer < deeper < 0.8 * stiffer
+
+
 def test_leaving_drops_all_force(slab):
     contact = slab.contact(SphereProbe(0.01))
     along(contact, away([0.002, 0.0, -0.003]))

@@ -173,10 +173,18 @@ class SurfaceContact:
         self._stages = self._recorded()
 
     def change_compliance(self, compliance_m_N: Array) -> None:
-        """Take another compliance from the next solve on [m/N], shape (3s, 3s)."""
+        """Take another compliance from the next solve on [m/N], shape (3s, 3s), written over the one before.
+
+        By how much the present forces then move nodes less, that is where they lie without contact, for friction to
+        find them where they were; shift them so for the next solve.
+        """
+        before = self.result.displacement_m()
         self.result.compliance_m_N[:] = compliance_m_N
         if not self._on_host:
             self._body.compliance.assign(compliance_m_N)
+        less = before - self.result.displacement_m()
+        self._body.last_free.assign(self._body.last_free.numpy() + less)
+        self._points.ready.zero_()
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
