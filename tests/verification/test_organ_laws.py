@@ -27,7 +27,7 @@ LAWS = {
 @pytest.mark.parametrize("ratio", [1.0, 1.4])
 @pytest.mark.parametrize("law", LAWS)
 def test_the_force_of_a_deep_press_is_that_of_newtons_method(law, ratio):
-    """At 20 mm/s a law that is solved a hundred times a second is late; at rest it is not, on the organ's mesh or a coarser.
+    """At 20 mm/s a law that is solved forty times a second is late; at rest it is not, on the organ's mesh or a coarser.
 
     The stiffening one bears twice the linear force; on the compliance at rest it swung and lost a third of its force.
     """
@@ -36,7 +36,7 @@ def test_the_force_of_a_deep_press_is_that_of_newtons_method(law, ratio):
     moving, force_N = moving_N(run), run.trace["force_z_N"]
     print(law, ratio, "moving", moving / exact.force_N - 1.0, "at rest", force_N[-1] / exact.force_N[-1] - 1.0,
           "displacement", surface_error(run, exact))  # fmt: skip
-    assert moving == pytest.approx(exact.force_N, rel=0.04)
+    assert moving == pytest.approx(exact.force_N, rel=0.07 if law == "stiffening" else 0.04)
     assert force_N[-1] == pytest.approx(exact.force_N[-1], rel=0.01)
     assert surface_error(run, exact) < 0.03
     assert not [what for _, what in run.events if "not reached" in what or "did not settle" in what]

@@ -24,6 +24,8 @@ MEMORY = 12
 """Steps whose curvature is kept."""
 HALVINGS = 12
 ARMIJO, ROUNDING = 1e-4, 1e-12
+SMALL = 1e-3
+"""Share of the greatest load so far below which a load counts as that much: less need not be balanced."""
 MANY = 8
 """Steps of a solve after which the stiffness of where it is takes the place of the one before."""
 
@@ -37,7 +39,7 @@ class Followed:
     displacement_m, internal_N
         Displacement [m] and the internal forces there [N], shape (n, 3).
     residual
-        Largest force that nothing balances, over the largest of the load; 0 where there is no load and none is left.
+        Largest force that nothing balances, over the largest of the load and of what was carried before.
     steps
         Steps taken.
     """
@@ -79,12 +81,15 @@ class QuasiNewton:
         self.factor = at_rest
         self._displacement = np.zeros(fixed.shape)
         self._energy, self._internal = body.energy_and_force(self._displacement)
+        self._greatest_N = 0.0
         self._pairs: deque[tuple[Array, Array, float]] = deque(maxlen=MEMORY)
 
     def follow(self, load_N: Array, *, tolerance: float, step_limit: int) -> Followed:
         """Go on to the equilibrium under a load [N], shape (n, 3), from where the last one ended."""
-        size, steps = float(np.abs(load_N).max()), 0
-        size = size or float(np.abs(np.where(self._fixed, 0.0, self._internal)).max())
+        carried = np.where(self._fixed, 0.0, self._internal)
+        now_N = float(max(np.abs(load_N).max(), np.abs(carried).max()))
+        self._greatest_N = max(self._greatest_N, now_N)
+        size, steps = max(now_N, SMALL * self._greatest_N), 0
         left = np.where(self._fixed, 0.0, load_N - self._internal)
         while (worst := float(np.abs(left).max())) > tolerance * size and steps < step_limit:
             step = self._inverse(left)
