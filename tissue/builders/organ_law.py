@@ -17,12 +17,19 @@ from tissue.scene.scene import Scene
 if TYPE_CHECKING:
     from tissue.models.organ.law import OrganLaw
 
-__all__ = ["coarser_mesh", "law_of", "organ_law"]
+__all__ = ["coarser_mesh", "hindrance", "law_of", "organ_law"]
 
 NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
 """Keys of an organ that a hyperelastic law cannot have yet."""
 SHAPE = {"mooney-rivlin": "second_share", "yeoh": "square_ratio", "ogden": "exponent"}
 """What each law needs beside the modulus and Poisson's ratio; none is cited for an organ."""
+
+
+def hindrance(organ: Organ) -> str | None:
+    """Name of the first entry of an organ that no hyperelastic law can have yet; None where there is none."""
+    if organ.path != "condensed":
+        return "path"
+    return next((name for name in NOT_WITH if getattr(organ, name)), None)
 
 
 def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
@@ -42,15 +49,12 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     """
     if organ.law == "linear":
         return None
-    others = {name: getattr(organ, name) for name in NOT_WITH}
-    others["path"] = organ.path if organ.path != "condensed" else None
-    for name, value in others.items():
-        if value:
-            raise InputError(
-                f"organ.law and organ.{name} must be left out together, got {organ.law} and {shown(value)}: "
-                "remove one, a law of large strains has an isotropic elastic organ without weight, on its "
-                "condensed compliance"
-            )
+    if name := hindrance(organ):
+        raise InputError(
+            f"organ.law and organ.{name} must be left out together, got {organ.law} and "
+            f"{shown(getattr(organ, name))}: remove one, a law of large strains has an isotropic elastic organ without "
+            "weight, on its condensed compliance"
+        )
     first, shear = lame_Pa[0].tolist()
     bulk = first + 2.0 / 3.0 * shear
     return _law(organ, shear, bulk), np.asarray(lame_Pa[:, 1] / shear)

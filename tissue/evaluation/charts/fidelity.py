@@ -6,6 +6,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.evaluation.charts.error_bounds import BOUND_FAMILIES
 from tissue.evaluation.charts.frontier import frontier_of
+from tissue.evaluation.charts.law_choice import with_law
 from tissue.evaluation.charts.measure import Measured
 from tissue.evaluation.charts.reference import reference_words
 from tissue.evaluation.charts.settings import Setting
@@ -80,13 +81,13 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
     found = frontier_of(plain, report=report)
     point = choose(found.points, wanted, gap=found.gap)
     setting = next(each for each in found.settings if each.name == point.setting)
-    at = changed(plain, setting.changes)
+    at, law = with_law(changed(plain, setting.changes), wanted)
     sentence = (
         f"{_in_words(at, setting, found.settings)}: force {100.0 * point.force_error:.2g} % over ticks, "
         f"{100.0 * point.error_50_ms:.2g} % over 50 ms, from {reference_words(scene, found.gap)}; "
         f"tick {point.median_us:.0f} µs, 99 % {point.p99_us:.0f} µs, "
         + ("the cheapest" if wanted.force_error is not None else "the most accurate")
-        + f" of {len(found.points)} settings that meets {_asked(wanted)}"
+        + f" of {len(found.points)} settings that meets {_asked(wanted)}{law}"
     )
     leaves_out = [f"{point.leaves_out}, which no force needs"] if point.leaves_out else []
     late_ms = at.coupling.delay_ms + at.coupling.model_ms - 1

@@ -173,9 +173,10 @@ def _elements(scene: Scene, anatomy: SoftAnatomy, *, quick: bool) -> Iterator[Se
         return
     fine = refined(scene, 0.8) | {"organ.order": 2}
     yield Setting(f"P2 {0.8 * base:.3g} mm", "elements", fine, lost, finer=True)
-    for size in (100, 300, 1000):
+    for size in (100, 300, 1000) if scene.organ.law == "linear" else ():
         yield Setting(f"reduced {size}", "path", plain | {"organ.path": "reduced", "organ.basis_size": size}, lost)
-    yield Setting("lazy", "path", plain | {"organ.path": "lazy"}, lost)
+    if scene.organ.law == "linear":
+        yield Setting("lazy", "path", plain | {"organ.path": "lazy"}, lost)
     yield Setting("one core", "cores", plain, lost, cores=1)
     yield from _accelerated(plain, lost)
 
