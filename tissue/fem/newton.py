@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array, csc_array, csr_array
-from scipy.sparse.linalg import splu
+from scipy.sparse import bsr_array
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
@@ -20,6 +19,8 @@ from tissue.fem.conjugate_gradients import conjugate_gradients
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.obstacle import RigidSphere
 from tissue.fem.outcome import Solution, SolverOutcome
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.held_body import HeldBody
 
 __all__ = ["NewtonSolution", "NewtonSolver"]
 
@@ -70,7 +71,7 @@ class NewtonSolver:
     Raises
     ------
     InputError
-        If nothing is held, or the shape is wrong.
+        If what is held leaves a part free to move, or the shape is wrong.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class NewtonSolver:
         extent = float(np.ptp(body.nodes_m, axis=0).max())
         self._rounding_N = POSITIONS * float(self.rest_diagonal.max()) * extent
         self._rounding_J = ROUNDING * 1e-2 * float(self.rest_diagonal.max()) * extent**2
-        self.precondition = precondition or factorised(csc_array(csr_array(rest)[self._free][:, self._free]))
+        self.precondition = precondition or _at_rest(HeldBody(rest, body.nodes_m, held))
         """Close to the inverse of the stiffness at rest; another solver with the same supports may use it."""
 
     def solve(
@@ -208,7 +209,7 @@ class NewtonSolver:
         return full.reshape(self.held.shape)
 
 
-def factorised(matrix: csc_array) -> Callable[[Array], Array]:
-    """Exact solves with a symmetric positive definite matrix, which needs no pivots."""
-    options = {"SymmetricMode": True}
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
+def _at_rest(body: HeldBody) -> Callable[[Array], Array]:
+    """Displacements of the free components by the stiffness at rest."""
+    solver = DirectSolver(body)
+    return lambda force: solver.solve(body.whole(force)).displacement_m.ravel()[body.free]
