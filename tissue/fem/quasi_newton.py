@@ -101,7 +101,7 @@ class QuasiNewton:
             left = np.where(self._fixed, 0.0, load_N - self._internal)
             steps += 1
             if steps % MANY == 0:
-                self._take_stiffness()
+                self.take_stiffness()
         return Followed(self._displacement, self._internal, worst / size if size else 0.0, steps)
 
     def _advance(self, step: Array, load_N: Array, slope: float) -> bool:
@@ -125,7 +125,7 @@ class QuasiNewton:
         self._displacement, self._energy, self._internal = moved, energy, internal
         return True
 
-    def _take_stiffness(self) -> None:
+    def take_stiffness(self) -> None:
         """Go on with the stiffness of this place."""
         self._pairs.clear()
         try:

@@ -18,6 +18,10 @@ FRICTION = (0.25, 2.5)
 literature)."""
 MODULUS = (1.0 / 3.0, 3.0)
 """Likewise of a modulus that the scene states: as liver scatters in tissue/materials/soft.toml."""
+SHAPE = (0.4, 2.5)
+"""Likewise of what gives a hyperelastic law its shape, of which none is cited for an organ: assumed."""
+SHAPES = ("second_share", "square_ratio", "cube_ratio", "exponent")
+"""Keys of the organ that do so."""
 
 
 def organ_parameters(scene: Scene, free: Sequence[str]) -> tuple[tuple[Parameter, ...], tuple[int, ...]]:
@@ -32,7 +36,8 @@ def organ_parameters(scene: Scene, free: Sequence[str]) -> tuple[tuple[Parameter
     """
     cited, stiffnesses = _cited(scene)
     stated = _stated(scene)
-    stiffnesses |= {each.name for each in stated if each.name != "organ.friction"}
+    shapes = {"organ.friction", *(f"organ.{name}" for name in SHAPES)}
+    stiffnesses |= {each.name for each in stated if each.name not in shapes}
     parameters = tuple(chosen(free, [*cited, *stated]))
     places = tuple(at for at, each in enumerate(parameters) if each.name in stiffnesses)
     together = len(places) == len(stiffnesses) and not scene.organ.gravity
@@ -47,7 +52,10 @@ def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
 
 
 def _stated(scene: Scene) -> list[Parameter]:
-    """Friction and moduli that are keys of the scene; a ball of another stiffness has one of its own."""
+    """Moduli, friction and the shape of a law that are keys of the scene; a stiffer or softer ball has a modulus too.
+
+    What is 0 or negative stays as it is: it has no range.
+    """
     organ, anatomy = scene.organ, scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
     parts = dict(organ.parts or {})
@@ -61,7 +69,9 @@ def _stated(scene: Scene) -> list[Parameter]:
         for name, value in found.items()
         if value is not None
     ]
-    friction = organ.friction
-    if friction == 0.0:
-        return moduli
-    return [*moduli, Parameter("organ.friction", Prior(friction, FRICTION[0] * friction, FRICTION[1] * friction))]
+    others = [
+        Parameter(f"organ.{name}", Prior(value, low * value, high * value))
+        for name, (low, high) in {"friction": FRICTION, **dict.fromkeys(SHAPES, SHAPE)}.items()
+        if (value := getattr(organ, name)) is not None and value > 0.0
+    ]
+    return [*moduli, *others]

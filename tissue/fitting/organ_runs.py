@@ -30,6 +30,8 @@ from tissue.system.workers import worker_pool
 
 __all__ = ["OrganRuns", "Poses"]
 
+LAW_MS = 5.0
+"""Time between two solves of a hyperelastic law [ms], the least that a scene may have: measured tissue is not late."""
 PAYS_S = 2.0
 """Time of a run from which processes pay, each of which takes as long to start [s]."""
 
@@ -108,7 +110,8 @@ def _loads(scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, va
         with_values = _with(scene, values, Path(name, "sample.toml"))
         motion = ReplayPoses(poses.times_s, poses.tips_m, poses.quaternions, step_s=TICK_S)
         stands_in = ReplayMotion(kind="replay", file="poses that were given")
-        organ = with_values.organ.model_copy(update={"interval_ms": 0.0})
+        prompt = {"interval_ms": 0.0, "law_interval_ms": LAW_MS}
+        organ = with_values.organ.model_copy(update=prompt)
         ran = with_values.model_copy(update={"motion": stands_in, "device": "none", "duration_s": None, "organ": organ})
         build = loaded(ANATOMIES[ran.anatomy.kind].build)
         parts = build(ran, motion, step_s=TICK_S, compute="cpu", cores=1, report=silent)
@@ -117,6 +120,7 @@ def _loads(scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, va
     loop.place()
     with undisturbed():
         for _ in range(ticks):
+            loop.wait()
             loop.step()
     loop.finish()
     found = np.column_stack([loop.trace[f"model_{name}"] for name in channels])[::every]

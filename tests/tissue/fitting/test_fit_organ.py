@@ -6,6 +6,7 @@ import pytest
 import tissue
 from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.log import read_log
+from tissue.fitting.organ_constants import organ_parameters
 from tissue.fitting.organ_problem import EVERY
 from tissue.fitting.organ_runs import OrganRuns, Poses
 
@@ -133,3 +134,40 @@ def test_the_modulus_of_a_part_comes_back_from_a_slide_over_it(tmp_path):
     corners, planted = [[-12, 0, 0.5], [-12, 0, -2], [12, 0, -2]], {"organ.young_kPa": 6.5, "organ.parts.nodule": 40.0}
     scene = pressed(tmp_path / "log.csv", changes, corners, [0.0, 0.1, 1.0], planted, noise_N=5e-4, seed=6)
     assert_found(tissue.fit(scene, tmp_path / "log.csv", cores=1).to_pandas(), planted)
+
+
+STIFFENING = {
+    "organ.law": "ogden", "organ.exponent": 12.0, "organ.friction": 0.0, "organ.order": 1, "organ.young_kPa": 8.0,
+    "organ.poisson_ratio": 0.45,
+}  # fmt: skip
+
+
+@pytest.mark.slow
+def test_modulus_and_exponent_of_a_hyperelastic_law_come_back_from_a_deep_press(tmp_path):
+    corners, times = [[0, 0, 0.5], [0, 0, -5], [0, 0, -5], [0, 0, -1]], [0.0, 0.4, 0.6, 0.9]
+    planted = {"organ.young_kPa": 6.0, "organ.exponent": 18.0}
+    scene = pressed(tmp_path / "log.csv", STIFFENING, corners, times, planted, noise_N=2e-3, seed=7)
+    assert_found(tissue.fit(scene, tmp_path / "log.csv", cores=1).to_pandas(), planted)
+
+
+@pytest.mark.slow
+def test_a_shallow_press_does_not_tell_a_laws_exponent(tmp_path):
+    corners, times = [[0, 0, 0.2], [0, 0, -0.4]], [0.0, 0.6]
+    scene = pressed(tmp_path / "log.csv", STIFFENING, corners, times, {}, noise_N=1e-3, seed=8)
+    fit = tissue.fit(scene, tmp_path / "log.csv", cores=1)
+    table = fit.to_pandas()
+    assert table.loc["organ.exponent", "state"] == "at its prior"
+    assert table.loc["organ.young_kPa", "state"] == "determined"
+
+
+def test_what_gives_a_law_its_shape_is_free_where_it_has_one():
+    def names(**organ):
+        scene = tissue.load_scene("palpation", SCENE | {f"organ.{name}": value for name, value in organ.items()})
+        parameters, moduli = organ_parameters(scene, ())
+        return [each.name for each in parameters], [parameters[at].name for at in moduli]
+
+    modulus = ["soft.liver.modulus_kPa"]
+    assert names(law="neo-hookean") == ([*modulus, "organ.friction"], modulus)
+    assert names(law="yeoh", square_ratio=0.2) == ([*modulus, "organ.friction", "organ.square_ratio"], modulus)
+    assert names(law="yeoh", square_ratio=-0.2, cube_ratio=1.0)[0][-1] == "organ.cube_ratio"
+    assert names(law="mooney-rivlin", second_share=0.3)[0][-1] == "organ.second_share"

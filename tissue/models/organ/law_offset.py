@@ -29,6 +29,9 @@ __all__ = ["LawOffset"]
 
 TOLERANCE, STEPS = 0.02, 30
 """Of the forces that nothing balances at the end of a solve, over the greatest nodal force; most steps of a solve."""
+MISSED = 0.05
+"""Share of the displacement by which an equilibrium is off what was expected, from which the compliance is made anew:
+one that is kept too long lets forces wander from interval to interval."""
 APART_M = 2e-4
 """Least change of depth from which the change of the offset with it is taken [m]."""
 FARTHEST = 2.0
@@ -107,7 +110,11 @@ class LawOffset:
         started = perf_counter()
         load = self._spread @ contact.result.nodal_forces_N
         found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS)
-        forces = load[self._nodes]
+        forces, moved = load[self._nodes], found.displacement_m[self._nodes]
+        self._now.into(expected := np.zeros_like(self._offset), depth_m, 1.0)
+        missed = float(np.linalg.norm(self._off(moved, forces) - expected))
+        if self._follower.factor is self._factor and missed > MISSED * float(np.linalg.norm(self._near @ moved)):
+            self._follower.take_stiffness()
         if self._follower.factor is not self._factor:
             self._change_compliance(contact, forces, depth_m)
         left = np.where(self._fixed, 0.0, load - found.internal_N)
