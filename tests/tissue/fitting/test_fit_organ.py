@@ -151,7 +151,7 @@ def test_modulus_and_exponent_of_a_hyperelastic_law_come_back_from_a_deep_press(
 
 
 @pytest.mark.slow
-def test_a_shallow_press_does_not_tell_a_laws_exponent(tmp_path):
+def test_a_shallow_press_does_not_show_a_laws_exponent(tmp_path):
     corners, times = [[0, 0, 0.2], [0, 0, -0.4]], [0.0, 0.6]
     scene = pressed(tmp_path / "log.csv", STIFFENING, corners, times, {}, noise_N=1e-3, seed=8)
     fit = tissue.fit(scene, tmp_path / "log.csv", cores=1)
