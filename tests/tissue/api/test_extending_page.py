@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tissue.scene.plugins import OFFERED
 from tissue.scene.registry import TABLES
 
@@ -13,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "extending.md").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_the_blocks_of_the_page_run_in_turn(tmp_path):
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
     assert len(blocks) == 7

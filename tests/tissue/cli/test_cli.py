@@ -141,6 +141,7 @@ def test_help_lists_every_option(command):
         assert option in output
 
 
+@pytest.mark.slow
 def test_a_seed_is_that_of_a_band_where_nothing_else_is_drawn(refused, command, tmp_path):
     """Without a device a scene draws nothing at random, so that it refuses a seed of its own."""
     small = ["milling", "--set", "voxels.spacing_mm=0.8", "--duration-s", "0.2", "--no-pictures"]

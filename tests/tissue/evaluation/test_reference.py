@@ -137,6 +137,7 @@ def test_a_second_pass_over_an_old_cut_meets_nothing(profile):
     assert np.abs(wrench_at(late, route, cutter, block(frame), resolution=Resolution(8, 2))).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_deeper_pass_meets_what_the_old_one_left():
     """Against a plain sum over four million points: the old slot is a cylinder along x, 0.1 mm higher."""
     old, new = -0.3, -0.4

@@ -10,6 +10,7 @@ from meshes.surfaces.surface import surface_from_triangles
 from tissue.figures.path_depth import draw_path_depth
 
 
+@pytest.mark.slow
 def test_a_path_is_drawn_in_the_colours_of_its_depth(tmp_path):
     from PIL import Image
 

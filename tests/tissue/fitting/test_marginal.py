@@ -86,6 +86,7 @@ def test_constants_known_only_by_their_sum():
     assert posterior.marginals[0].quantiles == pytest.approx(expected, abs=0.05)
 
 
+@pytest.mark.slow
 def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
     """Where others follow a constant along a curve, straight ahead is far from it."""
     forward = forward_along([[-1, 0, 0.2], [-1, 0, -0.3], [1, 0, -0.8], [1, 1, -0.8]], [0.0, 0.1, 0.4, 0.5])

@@ -67,6 +67,7 @@ def test_moment_has_mean_and_spread_of_its_law():
     assert found.spread_s == pytest.approx(0.02, rel=0.01)
 
 
+@pytest.mark.slow
 def test_log_without_noise_gives_its_moments_to_a_millisecond():
     log, fine, events = log_of({"capsule_puncture_N": 2.7, "linear_N_mm": 0.042, "static_out_N_m": 22.0})
     forward, _ = with_jumps(law(STEP_S), log)

@@ -46,6 +46,7 @@ def test_a_constant_acceleration_has_no_delay_and_a_pause_forgets():
     assert not estimate.step(np.array([7.0, 7.0])).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("forecast", "model_ticks"),
     [

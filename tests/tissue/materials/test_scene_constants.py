@@ -38,6 +38,7 @@ def forces(scene):
     return simulate(scene).trace.vectors("force", "N")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "of"), [("milling", ("cutting", "bone")), ("needle", ("needle", "liver"))])
 def test_a_file_that_repeats_the_cited_values_changes_nothing(name, of, tmp_path):
     changes = SMALL
@@ -48,6 +49,7 @@ def test_a_file_that_repeats_the_cited_values_changes_nothing(name, of, tmp_path
     np.testing.assert_array_equal(forces(given), met)
 
 
+@pytest.mark.slow
 def test_a_value_of_a_file_does_what_the_key_of_a_scene_does(tmp_path):
     file = written(tmp_path, entry(RADIAL, 20.0, 15.0, 30.0))
     by_key = load_scene("milling", SMALL | {"cutting.radial_chip_N_mm2": 20.0})

@@ -56,6 +56,7 @@ def test_frames_come_at_multiples_of_the_interval(run):
     assert [record.time_s for record in run.parts.tissue.stress.records] == [frame.time_s for frame in frames]
 
 
+@pytest.mark.slow
 def test_an_interval_is_counted_in_whole_ticks():
     """Of 12.5 ms it comes at the first tick that is not before it."""
     frames = drill(stress__interval_ms=12.5, duration_s=0.06).parts.tissue.fields.frames

@@ -211,6 +211,7 @@ def killed(tmp_path_factory, start):
     return out, lost_s
 
 
+@pytest.mark.slow
 def test_a_killed_run_loses_less_than_a_fifth_of_a_second(killed):
     """The rest of the time since its last flush is what it lost: it ran without pause."""
     folder, lost_s = killed
@@ -226,6 +227,7 @@ def test_a_killed_run_loses_less_than_a_fifth_of_a_second(killed):
     assert load_scene(folder / "scene.toml").name == "milling"
 
 
+@pytest.mark.slow
 def test_a_killed_run_is_still_a_run(killed, tmp_path, refused, command):
     folder = shutil.copytree(killed[0], tmp_path / "run")
     before = {entry.relative_to(folder): entry.read_bytes() for entry in folder.rglob("*") if entry.is_file()}

@@ -90,6 +90,7 @@ def failing(monkeypatch, which):
     monkeypatch.setattr(rerun, "simulate", simulated)
 
 
+@pytest.mark.slow
 def test_a_sample_that_breaks_down_is_named_and_left_out(pushed, monkeypatch):
     failing(monkeypatch, {3})
     band = band_of(pushed, 16)

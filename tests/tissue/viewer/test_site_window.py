@@ -19,6 +19,7 @@ def driven(drive, tmp_path_factory):
     return drive("site_driver.py", folder, out), folder, out
 
 
+@pytest.mark.slow
 def test_a_click_puts_the_site_and_return_saves_it(driven):
     found, folder, out = driven
     assert found["before"].startswith("centre (0.00, 0.00, 23.00) mm, normal (0.000, 0.000, 1.000), LPS")
@@ -35,6 +36,7 @@ def test_a_click_puts_the_site_and_return_saves_it(driven):
     assert {path.name for path in out.iterdir()} == {"start.png", "picked.png", "saved.png"}
 
 
+@pytest.mark.slow
 def test_saving_keeps_all_that_a_person_wrote(driven):
     _, folder, _ = driven
     kept = [line for line in SCENE.splitlines() if "centre" not in line and "normal" not in line and line[:1] != " "]

@@ -212,6 +212,7 @@ def test_a_movie_reports_how_much_of_it_is_drawn(tmp_path, monkeypatch):
     assert set(shares) <= {0.0, 0.25} and shares[-1] == 0.25
 
 
+@pytest.mark.slow
 def test_what_is_wrong_with_a_run_is_reported_by_its_renderer(layered, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(layered, folder)
