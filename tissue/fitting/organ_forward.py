@@ -1,4 +1,4 @@
-"""Loads of a probe on an organ by its constants: proportional to all moduli together, parabolas of each other one."""
+"""Loads of a probe on an organ by its constants: proportional to all moduli together, of second order in the others."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -32,6 +32,8 @@ class OrganForward:
     slopes, curvatures
         Coefficients of the distance of each constant from there and of its square, shape (n, channels, p); zero of the
         first of the moduli. The distance of a relaxation time is that of its logarithm.
+    mixed
+        Coefficients of the products of two distances, half of each in either order, shape (n, channels, p, p).
     """
 
     parameters: tuple[Parameter, ...]
@@ -42,6 +44,7 @@ class OrganForward:
     base: Array
     slopes: Array
     curvatures: Array
+    mixed: Array
 
     def reduced(self, x: Array) -> tuple[float, Array]:
         """By how much loads are scaled, and the constants that a run has in place of x, shape (p,)."""
@@ -105,7 +108,8 @@ class OrganForward:
         return np.array([each.name.endswith("_s") for each in self.parameters])
 
     def _of_run(self, distance: Array) -> Array:
-        return np.asarray(self.base + self.slopes @ distance + self.curvatures @ distance**2)
+        together = (self.mixed @ distance) @ distance
+        return np.asarray(self.base + self.slopes @ distance + self.curvatures @ distance**2 + together)
 
     def _slopes_at(self, distance: Array) -> Array:
-        return np.asarray(self.slopes + 2.0 * self.curvatures * distance)
+        return np.asarray(self.slopes + 2.0 * self.curvatures * distance + 2.0 * (self.mixed @ distance))

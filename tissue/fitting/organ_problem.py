@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -37,6 +38,8 @@ ROUNDS, TRIES = 3, 6
 LEARNT = 0.1
 """Step of the constants, in standard deviations of their priors, from which slopes are corrected by it."""
 UNSETTLED = "runs and result do not agree yet: the intervals are not to be trusted, free fewer constants"
+WIDE = 0.2
+"""Standard deviation of a constant over its prior's, from which it is stepped together with each other such one."""
 FARTHEST = 3.0
 """Standard deviations of a prior beyond which no run is made."""
 
@@ -97,7 +100,8 @@ def settled(
     (base,) = runs([_named(parameters, at)])
     times_s = runs.poses.times_s[0] + EVERY * TICK_S * np.arange(len(base), dtype=np.float64)
     nothing = np.zeros((*base.shape, len(parameters)))
-    forward = OrganForward(parameters, measured.channels, times_s, moduli, at, base, nothing, nothing)
+    none = np.zeros((*nothing.shape, len(parameters)))
+    forward = OrganForward(parameters, measured.channels, times_s, moduli, at, base, nothing, nothing, none)
     for number in range(ROUNDS):
         progress(f"round {number + 1} of runs of the organ", 0.25 * number)
         forward = _sloped(forward, runs, spread)
@@ -127,19 +131,28 @@ def _next(forward: OrganForward, z: Array, spread: Array) -> tuple[Array, float]
 
 
 def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> OrganForward:
-    """With slopes by runs about the same constants: to one side of them where nothing is known, else to both."""
+    """With slopes by runs about the same constants: to one side of them where nothing is known, else to both.
+
+    Where two constants are known no better than that, along a ridge of the posterior, by both together as well.
+    """
     places = [at for at in range(len(forward.at)) if at not in forward.moduli[:1]]
-    others = []
-    for at in places:
-        prior = forward.parameters[at].prior
-        step = FIRST_STEP if spread is None else float(np.clip(spread[at], *STEPS))
-        for sign in (1.0,) if spread is None else (1.0, -1.0):
-            x = forward.at.copy()
-            x[at] = prior.x(prior.z(x[at]) + sign * step)
-            others.append(x)
-    risen = [each - forward.base for each in runs([_named(forward.parameters, x) for x in others])]
-    slopes, curvatures = np.zeros_like(forward.slopes), np.zeros_like(forward.slopes)
-    sides = len(others) // max(len(places), 1)
+    reach = np.full(len(forward.at), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)
+
+    def stepped(*moves: tuple[int, float]) -> Array:
+        x = forward.at.copy()
+        for at, sign in moves:
+            prior = forward.parameters[at].prior
+            x[at] = prior.x(prior.z(x[at]) + sign * reach[at])
+        return x
+
+    signs = (1.0,) if spread is None else (1.0, -1.0)
+    others = [stepped((at, sign)) for at in places for sign in signs]
+    wide = [] if spread is None else [at for at in places if spread[at] > WIDE]
+    pairs = list(combinations(wide, 2))
+    corners = [stepped((first, 1.0), (second, 1.0)) for first, second in pairs]
+    risen = [each - forward.base for each in runs([_named(forward.parameters, x) for x in [*others, *corners]])]
+    slopes, curvatures, mixed = (np.zeros_like(each) for each in (forward.slopes, forward.curvatures, forward.mixed))
+    sides = len(signs)
     for number, at in enumerate(places):
         of = slice(sides * number, sides * (number + 1))
         steps = np.array([forward.distance(x)[at] for x in others[of]])
@@ -148,7 +161,11 @@ def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> Org
         slopes[..., at] = found[0]
         if sides == 2:
             curvatures[..., at] = found[1]
-    return replace(forward, slopes=slopes, curvatures=curvatures)
+    for (first, second), x, both in zip(pairs, corners, risen[len(others) :], strict=True):
+        distance = forward.distance(x)
+        left = both - slopes @ distance - curvatures @ distance**2
+        mixed[..., first, second] = mixed[..., second, first] = 0.5 * left / (distance[first] * distance[second])
+    return replace(forward, slopes=slopes, curvatures=curvatures, mixed=mixed)
 
 
 def _named(parameters: Sequence[Parameter], x: Array) -> dict[str, float]:

@@ -21,13 +21,14 @@ POSES = Poses(
 
 
 def closed(x):
-    """Loads of springs in parallel with friction, which multiplies them, and an effect of the logarithm of a time."""
-    base = np.arange(1.0, 7.0).reshape(3, 2)
-    return base * x[0] + base**2 * x[1] + x[0] * base * (3.0 * x[2] - x[2] ** 2 + 0.5 * np.log(x[3]) ** 2)
+    """Loads of springs in parallel with friction, which multiplies them, and the logarithm of a time, also together."""
+    base, friction, late = np.arange(1.0, 7.0).reshape(3, 2), x[2], np.log(x[3])
+    others = 3.0 * friction - friction**2 + 0.5 * late**2 + 0.4 * friction * late
+    return base * x[0] + base**2 * x[1] + x[0] * base * others
 
 
 def forward(moduli):
-    """Slopes and curvatures of the closed form, written down."""
+    """Coefficients of the closed form, written down."""
     names = ("organ.young_kPa", "organ.young_end_kPa", "organ.friction", "soft.liver.prony_tau1_s")
     at = np.array([FIRST, SECOND, FRICTION, 0.5])
     parameters = tuple(
@@ -35,12 +36,14 @@ def forward(moduli):
     )
     base = np.arange(1.0, 7.0).reshape(3, 2)
     of_first = np.zeros_like(base) if moduli else (closed(at) - base**2 * SECOND) / FIRST
-    slopes = [of_first, base**2, FIRST * base * (3.0 - 2.0 * FRICTION), FIRST * base * np.log(0.5)]
+    late = np.log(0.5)
+    of_friction, of_time = 3.0 - 2.0 * FRICTION + 0.4 * late, late + 0.4 * FRICTION
+    slopes = [of_first, base**2, FIRST * base * of_friction, FIRST * base * of_time]
     curved = [0.0 * base, 0.0 * base, -FIRST * base, 0.5 * FIRST * base]
-    channels = ("force_x_N", "force_z_N")
-    return OrganForward(
-        parameters, channels, np.arange(3.0), moduli, at, closed(at), np.stack(slopes, -1), np.stack(curved, -1)
-    )
+    mixed = np.zeros((*base.shape, 4, 4))
+    mixed[..., 2, 3] = mixed[..., 3, 2] = 0.2 * FIRST * base
+    runs = (at, closed(at), np.stack(slopes, -1), np.stack(curved, -1), mixed)
+    return OrganForward(parameters, ("force_x_N", "force_z_N"), np.arange(3.0), moduli, *runs)
 
 
 def test_loads_that_are_proportional_to_all_moduli_need_no_slope_by_the_first():
