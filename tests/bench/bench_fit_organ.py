@@ -113,10 +113,12 @@ def main() -> None:
 def show(kind: str, fits: list[dict]) -> None:
     """Print how often intervals of some fits hold what was planted."""
     hits, counts = Counter(), Counter()
-    for name, inside in (each for fit in fits for each in fit["held"]):
-        for each in (name, *(["constants that are determined"] if name.startswith("constant ") else [])):
-            counts[each] += 1
-            hits[each] += inside
+    for fit in fits:
+        for name, inside in fit["held"]:
+            more = ["constants that are determined", "the same of fits that settled"][: 1 + fit["settled"]]
+            for each in (name, *(more if name.startswith("constant ") else [])):
+                counts[each] += 1
+                hits[each] += inside
     print(f"{kind}: {len(fits)} fits, {sum(each['settled'] for each in fits)} settled, "
           f"{sum(each['converged'] for each in fits)} converged, medians {np.median([each['runs'] for each in fits]):.0f} "
           f"runs and {np.median([each['seconds'] for each in fits]):.1f} s of processor time")  # fmt: skip
