@@ -22,6 +22,9 @@ SHAPE = (0.4, 2.5)
 """Likewise of what gives a hyperelastic law its shape, of which none is cited for an organ: assumed."""
 SHAPES = ("second_share", "square_ratio", "cube_ratio", "exponent")
 """Keys of the organ that do so."""
+SHARE, NEAREST = "second_share", 0.1
+"""The one of them that is a share, and the distance of its prior's 95 % quantile from 1, over that of the scene's
+value, at least: assumed. Limits of the others are those of input, and no bounds."""
 
 
 def organ_parameters(scene: Scene, free: Sequence[str]) -> tuple[tuple[Parameter, ...], tuple[int, ...]]:
@@ -54,7 +57,7 @@ def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
 def _stated(scene: Scene) -> list[Parameter]:
     """Moduli, friction and the shape of a law that are keys of the scene; a stiffer or softer ball has a modulus too.
 
-    What is 0 or negative stays as it is: it has no range.
+    What is 0 or negative stays as it is, and so does a share of 1: it has no range.
     """
     organ, anatomy = scene.organ, scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
@@ -69,9 +72,22 @@ def _stated(scene: Scene) -> list[Parameter]:
         for name, value in found.items()
         if value is not None
     ]
-    others = [
-        Parameter(f"organ.{name}", Prior(value, low * value, high * value))
-        for name, (low, high) in {"friction": FRICTION, **dict.fromkeys(SHAPES, SHAPE)}.items()
-        if (value := getattr(organ, name)) is not None and value > 0.0
+    shapes = [
+        Parameter(f"organ.{name}", prior)
+        for name in SHAPES
+        if (value := getattr(organ, name)) is not None and (prior := _shape_prior(name, value)) is not None
     ]
-    return [*moduli, *others]
+    if (friction := organ.friction) == 0.0:
+        return [*moduli, *shapes]
+    low, high = FRICTION
+    return [*moduli, Parameter("organ.friction", Prior(friction, low * friction, high * friction)), *shapes]
+
+
+def _shape_prior(name: str, value: float) -> Prior | None:
+    """Prior of what gives a law its shape; None where it has no range."""
+    low, high = SHAPE
+    if value <= 0.0 or (name == SHARE and value >= 1.0):
+        return None
+    if name == SHARE:
+        return Prior(value, low * value, min(high * value, 1.0 - NEAREST * (1.0 - value)), (0.0, 1.0))
+    return Prior(value, low * value, high * value)

@@ -7,8 +7,10 @@ import tissue
 from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.log import read_log
 from tissue.fitting.organ_constants import organ_parameters
-from tissue.fitting.organ_problem import EVERY
+from tissue.fitting.organ_problem import EVERY, FARTHEST
 from tissue.fitting.organ_runs import OrganRuns, Poses
+from tissue.materials.prior import Z_95
+from tissue.scene.load import changed
 
 SCENE = {
     "anatomy.size_mm": [50, 40, 20], "anatomy.nodule_diameter_mm": None, "anatomy.edge_mm": 8.0,
@@ -171,3 +173,30 @@ def test_what_gives_a_law_its_shape_is_free_where_it_has_one():
     assert names(law="yeoh", square_ratio=0.2) == ([*modulus, "organ.friction", "organ.square_ratio"], modulus)
     assert names(law="yeoh", square_ratio=-0.2, cube_ratio=1.0)[0][-1] == "organ.cube_ratio"
     assert names(law="mooney-rivlin", second_share=0.3)[0][-1] == "organ.second_share"
+
+
+@pytest.mark.parametrize("value", [0.1, 0.3, 0.5, 0.9, 0.99])
+def test_every_run_of_a_fit_has_a_share_that_a_scene_may_have(value):
+    scene = tissue.load_scene("palpation", SCENE | {"organ.law": "mooney-rivlin", "organ.second_share": value})
+    parameters, _ = organ_parameters(scene, ["organ.second_share"])
+    prior = parameters[0].prior
+    assert float(prior.x(0.0)) == pytest.approx(value, rel=1e-12)
+    for z in (-FARTHEST, -Z_95, Z_95, FARTHEST):
+        x = float(prior.x(z))
+        assert 0.0 < x < 1.0 and prior.z(x) == pytest.approx(z, abs=1e-6)
+        assert changed(scene, {"organ.second_share": x}).organ.second_share == x
+
+
+def test_a_share_of_one_and_a_negative_exponent_are_not_free():
+    for law, name, value in (("mooney-rivlin", "second_share", 1.0), ("ogden", "exponent", -8.0)):
+        scene = tissue.load_scene("palpation", SCENE | {"organ.law": law, f"organ.{name}": value})
+        assert f"organ.{name}" not in [each.name for each in organ_parameters(scene, ())[0]]
+
+
+@pytest.mark.slow
+def test_a_share_near_its_upper_end_is_fitted_within_its_range(tmp_path):
+    law = {"organ.law": "mooney-rivlin", "organ.second_share": 0.9}
+    changes = {name: value for name, value in STIFFENING.items() if name != "organ.exponent"} | law
+    scene = pressed(tmp_path / "log.csv", changes, [[0, 0, 0.2], [0, 0, -1]], [0.0, 0.6], {}, noise_N=1e-3, seed=9)
+    row = tissue.fit(scene, tmp_path / "log.csv", cores=1).to_pandas().loc["organ.second_share"]
+    assert 0.0 < row["p05"] < 0.9 < row["p95"] < 1.0
