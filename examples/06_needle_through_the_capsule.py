@@ -28,7 +28,7 @@ FEED_MM_S, DEEP_MM, OUT_MM, WALL_MM = 5.0, 70.0, -20.0, 30.0
 # The needle's scene with a path that goes in, out and in again; travel counts from the undeformed surface.
 
 changes = {
-    "anatomy.vessel_wall_depth_mm": WALL_MM,
+    "anatomy.membrane_depths_mm": {"vessel wall": WALL_MM},
     "anatomy.interval_ms": 0.0,
     "motion.points_mm": [[0, 0, -z] for z in (-2.0, DEEP_MM, OUT_MM, DEEP_MM)],
     "motion.feed_mm_s": FEED_MM_S,

@@ -45,7 +45,7 @@ def law() -> tuple[NeedleForward, NeedleForward]:
     rest = np.full(round(REST_S / TICK_S), inwards[-1])
     travel = np.concatenate([inwards, rest, np.arange(inwards[-1], OUT_M, -FEED_M_S * TICK_S)])
     times = TICK_S * np.arange(len(travel))
-    names = needle_names(vessel_wall=False)
+    names = needle_names()
     cited = {name: constants(*name.split(".")[:2])[name.split(".")[2]] for name in names}
     parameters = tuple(Parameter(name, Prior.of(entry, name)) for name, entry in cited.items())
     fine = NeedleForward(parameters, {name: entry.value for name, entry in cited.items()}, times, travel)

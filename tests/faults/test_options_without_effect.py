@@ -110,11 +110,11 @@ def test_a_run_that_ends_before_its_path_is_reported(tmp_path):
 def test_a_vessel_that_the_needle_never_reaches_is_reported():
     shallow = {"anatomy.interval_ms": 0.0, "motion.points_mm": [[0, 0, 1], [0, 0, -20]], "duration_s": None}
     run = simulate(load_scene("needle", shallow))
-    went_mm, deep_mm = run.trace["insertion_mm"].max(), run.scene.anatomy.vessel_wall_depth_mm
+    went_mm, deep_mm = run.trace["insertion_mm"].max(), run.scene.anatomy.membrane_depths_mm["vessel wall"]
     assert 0.0 < went_mm < 20.0 < deep_mm
-    assert run.summary["notes"]["vessel"] == (
-        f"never reached: the needle went {went_mm:.3g} mm in, the vessel's wall lies at anatomy.vessel_wall_depth_mm = "
-        f"{deep_mm:g}"
+    assert run.summary["notes"]["membranes"] == (
+        f"never reached: the needle went {went_mm:.3g} mm in, beyond lies the vessel wall at {deep_mm:g} mm; see "
+        "anatomy.membrane_depths_mm"
     )
 
 

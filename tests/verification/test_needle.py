@@ -12,7 +12,7 @@ import pytest
 from needle_drives import CAPSULE, EXACT, FRICTION, LIVER, SPEED_M_S, drive, energy_J, pushed, trace
 
 from tissue.models.needle.insertion import Insertion
-from tissue.models.needle.parameters import Membrane, NeedleTissue, needle_tissue
+from tissue.models.needle.parameters import Membrane, NeedleTissue, needle_tissue, vessel_wall
 
 FITTED = 0.15
 """Share by which a fitted curve may miss a published number; scatter between livers is larger."""
@@ -71,7 +71,7 @@ def test_the_force_after_the_puncture_balances_in_closed_form():
 
 
 def test_the_vessel_wall_is_a_second_puncture():
-    tissue = needle_tissue(vessel_wall_depth_m=30e-3)
+    tissue = needle_tissue(walls=[vessel_wall(30e-3)])
     mm, force, insertion, *_ = trace(tissue, [-1.0, 70.0])
     wall = tissue.membranes[1]
     resting = insertion == 30.0
@@ -108,7 +108,7 @@ def test_a_membrane_that_is_only_pressed_springs_back():
 
 TISSUES = {
     "liver": LIVER,
-    "vessel wall": needle_tissue(vessel_wall_depth_m=20e-3),
+    "vessel wall": needle_tissue(walls=[vessel_wall(20e-3)]),
     "no capsule": replace(LIVER, membranes=()),
     "nothing cut": replace(LIVER, membranes=(), cutting_N=0.0),
     "linear": NeedleTissue(

@@ -5,7 +5,7 @@ import pytest
 from needle_drives import CAPSULE, EXACT, FRICTION, LIVER, SPEED_M_S, drive, pushed
 
 from tissue.models.needle.insertion import Insertion
-from tissue.models.needle.parameters import needle_tissue
+from tissue.models.needle.parameters import needle_tissue, vessel_wall
 
 
 def test_friction_turns_round_with_a_band_in_which_the_shaft_sticks():
@@ -51,7 +51,7 @@ def test_a_needle_that_turns_round_twice_breaks_away_with_the_static_friction():
 def test_the_parts_of_the_force():
     """They add up everywhere; while the shaft slides they are hold, cutting and friction, while it sticks they fall back
     together, and before an intact wall all that comes on top is elastic."""
-    insertion = Insertion(needle_tissue(vessel_wall_depth_m=30e-3))
+    insertion = Insertion(needle_tissue(walls=[vessel_wall(30e-3)]))
     resting = []
     for leg in (70e-3, -20e-3, 70e-3):
         for travel in np.linspace(insertion.travel_m, leg, 900).tolist():

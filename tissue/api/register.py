@@ -79,7 +79,7 @@ class register:
 
     @staticmethod
     def needle(name: str, make: F | None = None) -> Any:
-        """A needle: ``make(vessel_wall_depth_m=...)`` returns the `NeedleTissue` that it meets."""
+        """A needle: ``make(walls=...)`` returns the `NeedleTissue` that it meets, ``walls`` the scene's membranes."""
 
         def add(part: Any) -> None:
             check.name("needle", name)

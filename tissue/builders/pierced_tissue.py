@@ -13,16 +13,22 @@ __all__ = ["pierced_tissue"]
 
 
 def pierced_tissue(scene: Scene) -> "NeedleTissue":
-    """The organ as a scene's needle feels it; a needle from outside states its own numbers.
+    """The organ as a scene's needle feels it; a needle from outside states its own numbers."""
+    from tissue.models.needle.parameters import vessel_wall
 
-    Raises
-    ------
-    InputError
-        If the vessel's wall does not lie below the capsule.
-    """
-    assert isinstance(scene.anatomy, LayersAnatomy)
-    depth_mm, kind = scene.anatomy.vessel_wall_depth_mm, scene.tool.kind
-    depth_m = None if depth_mm is None else 1e-3 * depth_mm
+    anatomy, kind = scene.anatomy, scene.tool.kind
+    assert isinstance(anatomy, LayersAnatomy)
+    punctures_N, holds_N = anatomy.membrane_punctures_N or {}, anatomy.membrane_holds_N or {}
+    walls = tuple(
+        vessel_wall(
+            1e-3 * depth_mm,
+            name=name,
+            puncture_N=punctures_N.get(name),
+            hold_N=holds_N.get(name),
+            constants=scene.constants,
+        )
+        for name, depth_mm in anatomy.membranes
+    )
     if kind in NEEDLES.built_in:
-        return NEEDLES[kind](vessel_wall_depth_m=depth_m, constants=scene.constants)
-    return NEEDLES[kind](vessel_wall_depth_m=depth_m)
+        return NEEDLES[kind](walls=walls, constants=scene.constants)
+    return NEEDLES[kind](walls=walls)

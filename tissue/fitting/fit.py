@@ -7,6 +7,7 @@ from pathlib import Path
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
+from tissue.fitting import needle_walls, organ_constants
 from tissue.fitting.cutting_problem import cutting_problem
 from tissue.fitting.device_problem import device_problem
 from tissue.fitting.drawn_information import drawn_information
@@ -15,7 +16,6 @@ from tissue.fitting.identifiability import Identified, identified
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.needle_problem import needle_problem
 from tissue.fitting.nuts import Draws, draw_by_nuts, require_nuts
-from tissue.fitting.organ_constants import KEYS
 from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.posterior import Posterior, maximum_posterior
 from tissue.fitting.problem import Problem
@@ -33,7 +33,7 @@ PROBLEMS = {
 }
 """What a log of a scene is compared with, by what builds its tissue."""
 FITTED = "fit a scene of bone, a tooth, an organ or a needle"
-NUISANCES = ("density.", "motors.", KEYS)
+NUISANCES = ("density.", "motors.", organ_constants.KEYS, needle_walls.KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
 VISIBLE = 20.0
 """Force over the noise's scale from which noise is not why a log determines nothing."""

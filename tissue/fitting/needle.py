@@ -16,6 +16,7 @@ imposed: `unusable` names the samples from 5 mm before it on, and those around t
 would smear.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -26,6 +27,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.fitting.needle_events import Event, near_events, speed_corners
 from tissue.fitting.needle_track import CREPT_IN, CREPT_OUT, SLID_IN, SLID_OUT, NeedleTrack, followed, slid_in
+from tissue.fitting.needle_walls import Wall
 from tissue.fitting.parameter import Parameter
 from tissue.models.needle.parameters import GREATEST_N, GREATEST_N_M, Membrane, NeedleTissue, ShaftFriction
 
@@ -42,16 +44,26 @@ LIVER = (
     "linear_N_mm", "quadratic_N_mm2", "capsule_puncture_N", "capsule_hold_N", "cutting_N", "sliding_in_N_m",
     "sliding_out_N_m", "viscous_in_N_s_m2", "viscous_out_N_s_m2", "static_in_N_m", "static_out_N_m",
 )  # fmt: skip
-WALL = ("puncture_N", "hold_N")
-UNITS = np.array([N_MM, N_MM2, *[1.0] * 11])
 A1, A2, _, _, CUTTING, IN, OUT, DRAG_IN, DRAG_OUT, STATIC_IN, STATIC_OUT = range(11)
-PUNCTURES, HOLDS = (2, 11), (3, 12)
+CAPSULE = (2, 3)
 
 
-def needle_names(*, vessel_wall: bool) -> tuple[str, ...]:
+def needle_names(walls: Sequence[Wall] = ()) -> tuple[str, ...]:
     """Constants of a needle's force that a log may determine."""
-    liver = tuple(f"needle.liver.{name}" for name in LIVER)
-    return liver + tuple(f"needle.vessel_wall.{name}" for name in WALL) if vessel_wall else liver
+    return tuple(dict.fromkeys(_places(walls)))
+
+
+def _places(walls: Sequence[Wall]) -> tuple[str, ...]:
+    """Names of all constants of the law by their places, those of the membranes last, shape (11 + 2 m,)."""
+    return (
+        *(f"needle.liver.{name}" for name in LIVER),
+        *(name for each in walls for name in (each.puncture, each.hold)),
+    )
+
+
+def _membranes(count: int) -> tuple[tuple[int, int], ...]:
+    """Places of the puncture force and the hold of the capsule and every membrane, of so many constants."""
+    return (CAPSULE, *((at, at + 1) for at in range(len(LIVER), count, 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +81,8 @@ class NeedleForward:
     travel_m
         Of the tip beyond the undeformed surface, along the axis, shape (n,); it starts outside and is smooth to within
         a sample's motion, since a shaft that turns round sticks.
-    vessel_wall_depth_m
-        Depth of a second membrane [m]; None for none.
+    walls
+        Membranes under the capsule, from the surface downwards. Forces of one name are one constant.
     stick_band_m_s
         Speeds that count as rest.
     events
@@ -83,7 +95,7 @@ class NeedleForward:
     known: dict[str, float]
     times_s: Array
     travel_m: Array
-    vessel_wall_depth_m: float | None = None
+    walls: tuple[Wall, ...] = ()
     stick_band_m_s: float = 1e-4
     events: tuple[Event, ...] = ()
     channels: tuple[str, ...] = (CHANNEL,)
@@ -104,12 +116,12 @@ class NeedleForward:
     @property
     def names(self) -> tuple[str, ...]:
         """All constants, the free ones among them."""
-        return needle_names(vessel_wall=self.vessel_wall_depth_m is not None)
+        return needle_names(self.walls)
 
     @property
     def depths_m(self) -> tuple[float, ...]:
         """Of the membranes, from the surface downwards."""
-        return (0.0,) if self.vessel_wall_depth_m is None else (0.0, self.vessel_wall_depth_m)
+        return (0.0, *(each.depth_m for each in self.walls))
 
     def expected_events(self) -> tuple[Event, ...]:
         """Jumps of the law itself along the travel, with the known constants, after those that are imposed."""
@@ -145,8 +157,8 @@ class NeedleForward:
     def jacobian(self, x: Array) -> Array:
         """See `Forward`."""
         values, track = self._followed(tuple(np.asarray(x, dtype=float).tolist()))
-        slopes = self._force(values, track)[1][:, self._free] * UNITS[self._free]
-        return slopes[:, None, :]
+        slopes = self._force(values, track)[1] * self._units
+        return (slopes @ self._shares)[:, None, :]
 
     def _followed(self, x: tuple[float, ...]) -> tuple[Array, NeedleTrack]:
         """Constants and the law along the log; the last are kept, since a search asks for loads and slopes of one x."""
@@ -156,28 +168,33 @@ class NeedleForward:
             self._last[x] = values, followed(self._tissue(values), self.travel_m, self._speed_m_s, self.events)
         return self._last[x]
 
-    @property
-    def _free(self) -> list[int]:
-        return [self.names.index(each.name) for each in self.parameters]
+    @cached_property
+    def _units(self) -> Array:
+        """SI units in those of the names, by place."""
+        return np.array([N_MM, N_MM2, *[1.0] * (len(_places(self.walls)) - 2)])
+
+    @cached_property
+    def _shares(self) -> Array:
+        """1 where a place holds a free constant, shape (11 + 2 m, p)."""
+        free = [each.name for each in self.parameters]
+        return np.array([[float(name == each) for each in free] for name in _places(self.walls)])
 
     @cached_property
     def _speed_m_s(self) -> Array:
         return np.gradient(self.travel_m, self.times_s)
 
     def _values(self, x: list[float]) -> Array:
-        """All constants in SI units, shape (11,) or (13,)."""
+        """All constants by their places in SI units, shape (11 + 2 m,)."""
         stated = dict(self.known) | {each.name: value for each, value in zip(self.parameters, x, strict=False)}
-        return np.array([stated[name] for name in self.names]) * UNITS[: len(self.names)]
+        return np.array([stated[name] for name in _places(self.walls)]) * self._units
 
     def _tissue(self, values: Array) -> NeedleTissue:
         # A search may ask for what no needle meets: it gets the most that the law takes.
         v = np.minimum(values, 0.5 * GREATEST_N).tolist()
         v[A2] = min(float(values[A2]), GREATEST_N_M)
         membranes = tuple(
-            Membrane(name=name, depth_m=depth, puncture_N=v[puncture], hold_N=v[hold])
-            for name, depth, puncture, hold in zip(
-                ("capsule", "vessel wall"), self.depths_m, PUNCTURES, HOLDS, strict=False
-            )
+            Membrane(name=f"membrane {number}", depth_m=depth, puncture_N=v[puncture], hold_N=v[hold])
+            for number, (depth, (puncture, hold)) in enumerate(zip(self.depths_m, _membranes(len(v)), strict=True))
         )
         friction = ShaftFriction(
             sliding_in_N_m=v[IN], sliding_out_N_m=v[OUT], viscous_in_N_s_m2=v[DRAG_IN], viscous_out_N_s_m2=v[DRAG_OUT],
@@ -191,7 +208,7 @@ class NeedleForward:
         )
 
     def _force(self, v: Array, track: NeedleTrack) -> tuple[Array, Array]:
-        """Force along the axis [N], shape (n,), and its derivatives by all constants in SI units, (n, 11 or 13)."""
+        """Force along the axis [N], shape (n,), and its derivatives by all constants in SI units, (n, 11 + 2 m)."""
         slid = self._slid(v, track)
         by_length = np.where(track.source[:, None] >= 0, slid[track.source], 0.0)
         u, length = track.deflection_m, track.inserted_m
@@ -213,7 +230,7 @@ class NeedleForward:
         return force, slopes
 
     def _slid(self, v: Array, track: NeedleTrack) -> Array:
-        """Derivatives of the inserted length where the shaft slid or crept, shape (n, 11 or 13)."""
+        """Derivatives of the inserted length where the shaft slid or crept, shape (n, 11 + 2 m)."""
         u, z, n = np.abs(track.deflection_m), self.travel_m, len(self.travel_m)
         slopes = np.zeros((n, len(v)))
         for how, name, inwards in (
@@ -223,7 +240,7 @@ class NeedleForward:
             by = np.zeros((int(here.sum()), len(v)))
             if inwards > 0.0:
                 by[:, CUTTING] = track.cuts[here]
-            for number, hold in enumerate(HOLDS[: len(v) // 6]):
+            for number, (_, hold) in enumerate(_membranes(len(v))):
                 by[:, hold] = track.holes[here] > number
             by[:, name] = z[here] - inwards * u[here]
             by[:, A1] -= u[here]
@@ -243,10 +260,11 @@ class NeedleForward:
         first = int(begun[-1]) + 1 if len(begun) else 0
         share = np.where(before & (np.arange(len(z)) >= first), 1.0 - np.abs(z - at) / ANCHOR_M, 0.0)
         by = np.zeros(len(v))
-        for number, hold in enumerate(HOLDS[: len(v) // 6]):
+        for number, (_, hold) in enumerate(_membranes(len(v))):
             by[hold] = track.holes[k] > number
         if event.kind == "puncture":
-            by[PUNCTURES[sum(each.kind == "puncture" and each.sample < k for each in self.events)]] = 1.0
+            broken = sum(each.kind == "puncture" and each.sample < k for each in self.events)
+            by[_membranes(len(v))[broken][0]] = 1.0
         elif event.kind == "slip_in":
             by[CUTTING] = track.cuts[k]
         sign, name = (-1.0, STATIC_OUT) if event.kind == "slip_out" else (1.0, STATIC_IN)

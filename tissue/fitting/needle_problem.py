@@ -16,6 +16,7 @@ from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.needle import CHANNEL, NeedleForward, needle_names
 from tissue.fitting.needle_events import median_jumps
 from tissue.fitting.needle_search import with_jumps
+from tissue.fitting.needle_walls import KEYS, stated_forces, walls_of
 from tissue.fitting.parameter import Parameter, chosen
 from tissue.fitting.posterior import Posterior
 from tissue.fitting.problem import Problem
@@ -62,22 +63,25 @@ def needle_problem(
     notes += (f"jumps of the force: {', '.join(seen).replace('_', ' ') or 'none'}",)
     if unused := [name for name in log.channels if name.startswith("torque_")]:
         notes += (f"not used for a needle: {', '.join(unused)}",)
+    if keys := [each.name for each in forward.parameters if each.name.startswith(KEYS)]:
+        notes += (f"keys of the scene, not in fitted.toml: give them by --set or in the scene: {', '.join(keys)}",)
     return Problem(forward, usable, ticks * TICK_S, lambda posterior: _candidates(forward, posterior), notes)
 
 
 def _forward(scene: Scene, times_s: Array, travel_m: Array, free: Sequence[str]) -> NeedleForward:
     """The law with its free constants: all with a range by default."""
     assert isinstance(scene.anatomy, LayersAnatomy)
-    depth_mm = scene.anatomy.vessel_wall_depth_mm
-    names = needle_names(vessel_wall=depth_mm is not None)
+    walls = walls_of(scene.anatomy)
+    stated, free_of_them = stated_forces(scene.anatomy)
+    names = [name for name in needle_names(walls) if name not in stated]
     known = {name: scene.constants.constants(*name.split(".")[:2])[name.split(".")[2]] for name in names}
     parameters = [Parameter(name, Prior.of(each, name)) for name, each in known.items() if each.low < each.high]
     return NeedleForward(
-        tuple(chosen(free, parameters)),
-        {name: each.value for name, each in known.items()},
+        tuple(chosen(free, [*parameters, *free_of_them])),
+        {name: each.value for name, each in known.items()} | stated,
         times_s,
         travel_m,
-        vessel_wall_depth_m=None if depth_mm is None else 1e-3 * depth_mm,
+        walls=walls,
     )
 
 

@@ -127,7 +127,7 @@ def _ends(travel_m: Array, quick: NDArray[np.bool_], modes: dict[int, NeedleTiss
 
 
 def slid_in(track: NeedleTrack, by_length: Array) -> tuple[Array, Array]:
-    """Share of the last sample's motion over which the shaft slid inwards, shape (n,), and its slopes, (n, 11 or 13).
+    """Share of the last sample's motion over which the shaft slid inwards, shape (n,), and its slopes, (n, 11 + 2 m).
 
     It lies between 0 and 1 where the tip meets a membrane between two samples: its drag ends there, at a travel that
     depends on the constants, and a drag that ended a whole sample earlier would be a step in them.

@@ -1,14 +1,19 @@
 """What a scene states of a soft organ: its shape, what holds it, and what it is made of."""
 
+from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, Strict
+from pydantic import AfterValidator, Field, Strict, model_validator
 
+from meshes.base.errors import InputError
 from tissue.scene.anatomy import Length_mm, Part, Vector
 from tissue.scene.choices import OneOf
 from tissue.scene.registry import ORGAN_MATERIALS
 
 __all__ = ["LayersAnatomy", "LiverAnatomy", "Organ", "SlabAnatomy", "SoftAnatomy"]
+
+LAYERS = ("capsule", "parenchyma")
+"""What a needle meets in every scene."""
 
 
 class SoftAnatomy(Part):
@@ -63,15 +68,58 @@ class SlabAnatomy(SoftAnatomy):
     """Edge of a tetrahedron at the top, away from the tool; they grow downwards."""
 
 
+def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:
+    """Refuse membranes that lie at one depth or have the name of a layer; of none, None."""
+    listed = sorted(depths_mm.items(), key=lambda each: each[1])
+    for name, _ in listed:
+        if name in LAYERS:
+            raise InputError(f"anatomy.membrane_depths_mm must not name the {name}, got it: choose another name")
+    for (above, depth_mm), (below, other_mm) in pairwise(listed):
+        if depth_mm == other_mm:
+            raise InputError(
+                f"anatomy.membrane_depths_mm must differ, got {depth_mm:g} for {above} and {below}: move one of them"
+            )
+    return depths_mm or None
+
+
+Depths_mm = Annotated[dict[str, Annotated[float, Field(gt=0, le=200, examples=[40.0])]], AfterValidator(_apart)]
+Punctures_N = Annotated[
+    dict[str, Annotated[float, Field(gt=0, le=100, examples=[1.8])]], AfterValidator(lambda given: given or None)
+]
+Holds_N = Annotated[
+    dict[str, Annotated[float, Field(ge=0, le=100, examples=[0.3])]], AfterValidator(lambda given: given or None)
+]
+
+
 class LayersAnatomy(Part):
-    """What a needle meets: a capsule at z = 0, the tissue under it and, where given, the wall of a vessel."""
+    """What a needle meets: a capsule at z = 0, the tissue under it and, where given, membranes in it."""
 
     kind: Literal["layers"] = "layers"
     """Layers, one below the other."""
-    vessel_wall_depth_mm: float | None = Field(None, gt=0, le=200, examples=[40.0])
-    """Depth of a vessel's wall; without it there is none."""
+    membrane_depths_mm: Depths_mm | None = Field(None, examples=[{"vessel wall": 40.0}])
+    """Depths of membranes under the capsule by their names, such as the two walls of a vessel; without them none."""
+    membrane_punctures_N: Punctures_N | None = Field(None, examples=[{"vessel wall": 1.8}])
+    """Forces of the tip at which they break; of those that are not named the force of `needle.vessel_wall`."""
+    membrane_holds_N: Holds_N | None = Field(None, examples=[{"vessel wall": 0.3}])
+    """Forces with which the edges of their holes cling to the shaft; likewise."""
     interval_ms: float = Field(100.0, ge=0, le=10_000)
     """Time between two frames of displacement, strain and stress around the needle; 0 computes none."""
+
+    @model_validator(mode="after")
+    def _names_its_membranes(self) -> "LayersAnatomy":
+        for key in ("membrane_punctures_N", "membrane_holds_N"):
+            for name in getattr(self, key) or {}:
+                if name not in (self.membrane_depths_mm or {}):
+                    raise InputError(
+                        f"anatomy.{key} must name membranes of anatomy.membrane_depths_mm "
+                        f"({', '.join(self.membrane_depths_mm or {}) or 'none'}), got {name}: give its depth there"
+                    )
+        return self
+
+    @property
+    def membranes(self) -> list[tuple[str, float]]:
+        """Names and depths [mm] of the membranes under the capsule, from the surface downwards."""
+        return sorted((self.membrane_depths_mm or {}).items(), key=lambda each: each[1])
 
 
 Modulus_kPa = Annotated[float, Field(ge=0.1, le=1e5, examples=[80.0])]

@@ -134,7 +134,7 @@ PROBES: Registry[ProbeEntry] = Registry(
 NEEDLES: "Registry[Callable[..., NeedleTissue]]" = Registry(
     "tool.kind", {"needle": "tissue.models.needle.parameters:needle_tissue"}, group="tissue.needles"
 )
-"""Needles: what each meets in tissue, from ``vessel_wall_depth_m`` [m], None where there is no vessel."""
+"""Needles: what each meets in tissue, from ``walls``, the membranes under the capsule from the surface downwards."""
 
 
 MOTIONS: Registry[MotionEntry] = Registry(

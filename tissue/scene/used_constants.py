@@ -97,8 +97,10 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
             yield "soft", f"{organ.material}_capsule", ("modulus_kPa", "poisson_ratio", "thickness_um")
     if isinstance(anatomy, LayersAnatomy):
         yield "needle", "liver", None
-        if anatomy.vessel_wall_depth_mm is not None:
-            yield "needle", "vessel_wall", None
+        stated = {"puncture_N": anatomy.membrane_punctures_N, "hold_N": anatomy.membrane_holds_N}
+        walls = tuple(key for key, given in stated.items() if len(given or {}) < len(anatomy.membranes))
+        if walls:
+            yield "needle", "vessel_wall", walls
         if anatomy.interval_ms > 0.0:
             yield "soft", "liver", ("modulus_kPa",)
     if scene.device in listed("devices"):

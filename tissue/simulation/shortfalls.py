@@ -37,11 +37,11 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
             f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} s; set duration_s = "
             f"{wanted_s:.6g} or leave it out to see all of it"
         )
-    wall_mm = scene.anatomy.vessel_wall_depth_mm if isinstance(scene.anatomy, LayersAnatomy) else None
-    if wall_mm is not None and trace["insertion_mm"].max() < wall_mm:
-        found["vessel"] = (
-            f"never reached: the needle went {trace['insertion_mm'].max():.3g} mm in, the vessel's wall lies at "
-            f"anatomy.vessel_wall_depth_mm = {wall_mm:g}"
+    membranes = scene.anatomy.membranes if isinstance(scene.anatomy, LayersAnatomy) else []
+    if beyond := [(name, depth) for name, depth in membranes if trace["insertion_mm"].max() < depth]:
+        found["membranes"] = (
+            f"never reached: the needle went {trace['insertion_mm'].max():.3g} mm in, beyond lies "
+            f"{', '.join(f'the {name} at {depth:g} mm' for name, depth in beyond)}; see anatomy.membrane_depths_mm"
         )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found

@@ -75,9 +75,8 @@ def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
     import pyvista
 
     assert isinstance(scene.anatomy, LayersAnatomy)
-    depths = {"capsule": 0.0, "vessel wall": scene.anatomy.vessel_wall_depth_mm}
+    depths = {"capsule": 0.0} | dict(scene.anatomy.membranes)
     return {
         name: pyvista.Plane(center=(0.0, 0.0, -depth), direction=(0.0, 0.0, 1.0), i_size=FACE_MM, j_size=FACE_MM)
         for name, depth in depths.items()
-        if depth is not None
     }

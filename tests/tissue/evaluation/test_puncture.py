@@ -17,7 +17,7 @@ from tissue.scene.registry import DEVICES, HANDS, NEEDLES, DeviceEntry
 
 SCENE = {
     "anatomy.interval_ms": 0.0,
-    "anatomy.vessel_wall_depth_mm": None,
+    "anatomy.membrane_depths_mm": None,
     "motion.points_mm": [[0, 0, 0.05], [0, 0, -40]],
     "output.low_pass_ms": 0.0,
     "device": "exact",
@@ -49,7 +49,7 @@ def parts():
         (HANDS, "steady", STEADY),
         (HANDS, "stiff", {**STEADY, "reflex_share": 0.0}),
     )
-    added += (NEEDLES, "free", lambda vessel_wall_depth_m: FREE), (NEEDLES, "dry", lambda vessel_wall_depth_m: DRY)
+    added += (NEEDLES, "free", lambda walls: FREE), (NEEDLES, "dry", lambda walls: DRY)
     for table, name, part in added:
         table.add(name, part)
     yield

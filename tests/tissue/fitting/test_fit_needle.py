@@ -7,7 +7,7 @@ import pytest
 
 import tissue
 
-SCENE = {"anatomy.interval_ms": 0.0, "anatomy.vessel_wall_depth_mm": None}
+SCENE = {"anatomy.interval_ms": 0.0, "anatomy.membrane_depths_mm": None}
 PLANTED = {"cutting_N": 1.3, "linear_N_mm": 0.052, "capsule_puncture_N": 2.5}
 
 

@@ -8,11 +8,12 @@ import pytest
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.needle import NeedleForward, needle_names
 from tissue.fitting.needle_search import with_jumps
+from tissue.fitting.needle_walls import Wall
 from tissue.fitting.parameter import Parameter
 from tissue.materials.constants import constants
 from tissue.materials.prior import Prior
 from tissue.models.needle.model import NeedleModel
-from tissue.models.needle.parameters import needle_tissue
+from tissue.models.needle.parameters import needle_tissue, vessel_wall
 from tissue.models.tissue_model import ToolMotion
 
 STEP_S, FEED_M_S = 4e-3, 0.01
@@ -28,14 +29,14 @@ def travel():
 @pytest.fixture(scope="module")
 def engine():
     """A forward of the cited constants, and the force of the engine's model along the same travel."""
-    names = needle_names(vessel_wall=True)
+    names = needle_names([Wall(0.03)])
     cited = {name: constants(*name.split(".")[:2])[name.split(".")[2]] for name in names}
     forward = NeedleForward(
         tuple(Parameter(name, Prior.of(entry, name)) for name, entry in cited.items()),
         {name: entry.value for name, entry in cited.items()},
-        STEP_S * np.arange(len(travel())), travel(), vessel_wall_depth_m=0.03,
+        STEP_S * np.arange(len(travel())), travel(), walls=(Wall(0.03),),
     )  # fmt: skip
-    model, force = NeedleModel(needle_tissue(vessel_wall_depth_m=0.03), diameter_m=1.27e-3), []
+    model, force = NeedleModel(needle_tissue(walls=[vessel_wall(0.03)]), diameter_m=1.27e-3), []
     for sample, (z, speed) in enumerate(zip(travel(), np.gradient(travel(), STEP_S), strict=True)):
         motion = ToolMotion(tip_m=np.array([0.0, 0.0, -z]), speed_m_s=abs(speed))
         motion.heading[0] = 0.0, 0.0, -np.sign(speed)

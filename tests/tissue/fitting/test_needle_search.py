@@ -17,7 +17,7 @@ from tissue.materials.constants import constants
 from tissue.materials.prior import Prior
 
 STEP_S, FEED_M_S, BLOCK = 4e-3, 0.02, 5
-NAMES = needle_names(vessel_wall=False)
+NAMES = needle_names()
 CITED = {name: constants(*name.split(".")[:2])[name.split(".")[2]] for name in NAMES}
 
 

@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from tissue import InputError
 from tissue.models.needle.model import NeedleModel
-from tissue.models.needle.parameters import needle_tissue
+from tissue.models.needle.parameters import needle_tissue, vessel_wall
 from tissue.models.tissue_model import HasVoxels, ToolMotion
 from tissue.motion.motion import PushAlongAxis
 
 STEP_S = 1e-3
 NEEDLE_M = 1.27e-3
 LIVER = needle_tissue()
-LAYERED = needle_tissue(vessel_wall_depth_m=20e-3)
+LAYERED = needle_tissue(walls=[vessel_wall(20e-3)])
 ARRAYS = ("resistance", "edge", "wrench", "engaged_m2")
 
 

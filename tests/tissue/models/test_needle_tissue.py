@@ -7,7 +7,7 @@ import pytest
 from tissue import InputError
 from tissue.models.needle.insertion import Insertion
 from tissue.models.needle.model import NeedleModel
-from tissue.models.needle.parameters import Membrane, NeedleTissue, ShaftFriction, needle_tissue
+from tissue.models.needle.parameters import Membrane, NeedleTissue, ShaftFriction, needle_tissue, vessel_wall
 
 LIVER = needle_tissue()
 FRICTION = LIVER.friction
@@ -34,7 +34,7 @@ CAPSULE = LIVER.membranes[0]
             lambda bad: replace(LIVER, membranes=(CAPSULE, replace(CAPSULE, depth_m=1e-2))),
             "membranes must have different names and none parenchyma, got capsule, capsule: rename one",
         ),
-        (lambda bad: needle_tissue(vessel_wall_depth_m=0.0), "membranes must be listed from the surface downwards"),
+        (lambda bad: needle_tissue(walls=[vessel_wall(0.0)]), "membranes must be listed from the surface downwards"),
         (lambda bad: NeedleModel(LIVER, diameter_m=bad), "diameter_m must be positive and finite, got nan"),
     ],
 )  # fmt: skip

@@ -91,7 +91,7 @@ def test_a_probe_from_outside_presses(added):
 
 def test_a_needle_from_outside_pierces(added):
     """One that cuts twice as hard is held back more once it is in."""
-    added(NEEDLES, "blunt", lambda vessel_wall_depth_m: replace(needle_tissue(), cutting_N=5.0))
+    added(NEEDLES, "blunt", lambda walls: replace(needle_tissue(), cutting_N=5.0))
     blunt, sharp = (
         simulate(load_scene("needle", {"tool.kind": kind, "anatomy.interval_ms": 0.0, "device": "none"}))
         for kind in ("blunt", "needle")

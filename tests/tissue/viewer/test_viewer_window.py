@@ -242,7 +242,7 @@ def test_a_folder_without_frames_is_refused(tmp_path):
 
 def test_a_needle_goes_through_the_faces_of_its_scene():
     pytest.importorskip("pyvista")
-    faces = faces_of(load_scene("needle", {"anatomy.vessel_wall_depth_mm": 40.0}))
+    faces = faces_of(load_scene("needle", {"anatomy.membrane_depths_mm": {"vessel wall": 40.0}}))
     assert {name: face.center[2] for name, face in faces.items()} == {"capsule": 0.0, "vessel wall": -40.0}
     assert faces_of(load_scene("milling")) == {} == faces_of(None)
 

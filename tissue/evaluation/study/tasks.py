@@ -89,7 +89,7 @@ TASKS = {
         scene="needle",
         changes={
             "anatomy.interval_ms": 0.0,
-            "anatomy.vessel_wall_depth_mm": None,
+            "anatomy.membrane_depths_mm": None,
             "motion.points_mm": [[0, 0, 0.05], [0, 0, -40]],
             "coupling.force_scale": 1.0,  # the force that the hand raises is the needle's
         },

@@ -1,5 +1,6 @@
 """What a needle meets along its axis: membranes, tissue that is cut, friction along the shaft."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from math import sqrt
@@ -7,7 +8,7 @@ from math import sqrt
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.materials.scene_constants import Materials
 
-__all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue"]
+__all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel_wall"]
 
 GREATEST_N = 1e4
 """Greatest force that a parameter may name [N]; a greater one is a mistaken unit."""
@@ -148,24 +149,41 @@ def positive_root(a: float, b: float, c: float) -> float:
     return 2.0 * c / (b + sqrt(b * b + 4.0 * a * c)) if c > 0.0 else 0.0
 
 
-def needle_tissue(*, vessel_wall_depth_m: float | None = None, constants: Materials = Materials.cited) -> NeedleTissue:
-    """Bovine liver under its capsule by its constants, with a vessel wall at a depth where one is asked for.
+def vessel_wall(
+    depth_m: float,
+    *,
+    name: str = "vessel wall",
+    puncture_N: float | None = None,
+    hold_N: float | None = None,
+    constants: Materials = Materials.cited,
+) -> Membrane:
+    """A wall of a vessel, or another membrane inside an organ, at a depth [m]; forces that are None are the constants'.
 
-    The numbers hold for one needle in one organ (Okamura 2004); those of the vessel wall have no source.
+    The constants of a vessel's wall have no source.
+    """
+    wall = {key: entry.value for key, entry in constants.constants("needle", "vessel_wall").items()}
+    return Membrane(
+        name=name,
+        depth_m=depth_m,
+        puncture_N=wall["puncture_N"] if puncture_N is None else puncture_N,
+        hold_N=wall["hold_N"] if hold_N is None else hold_N,
+    )
+
+
+def needle_tissue(*, walls: Sequence[Membrane] = (), constants: Materials = Materials.cited) -> NeedleTissue:
+    """Bovine liver under its capsule by its constants, with membranes inside it, from the surface downwards.
+
+    The numbers hold for one needle in one organ (Okamura 2004).
 
     Raises
     ------
     InputError
-        If the wall does not lie below the capsule.
+        If the membranes do not lie below the capsule, one below the other.
     """
     liver = {name: entry.value for name, entry in constants.constants("needle", "liver").items()}
     capsule = Membrane(
         name="capsule", depth_m=0.0, puncture_N=liver["capsule_puncture_N"], hold_N=liver["capsule_hold_N"]
     )
-    membranes: tuple[Membrane, ...] = (capsule,)
-    if vessel_wall_depth_m is not None:
-        wall = {name: entry.value for name, entry in constants.constants("needle", "vessel_wall").items()}
-        membranes += (Membrane(name="vessel wall", depth_m=vessel_wall_depth_m, **wall),)
     return NeedleTissue(
         linear_N_m=1e3 * liver["linear_N_mm"],
         quadratic_N_m2=1e6 * liver["quadratic_N_mm2"],
@@ -179,5 +197,5 @@ def needle_tissue(*, vessel_wall_depth_m: float | None = None, constants: Materi
             static_out_N_m=liver["static_out_N_m"],
             stick_band_m_s=1e-3 * liver["stick_band_mm_s"],
         ),
-        membranes=membranes,
+        membranes=(capsule, *walls),
     )
