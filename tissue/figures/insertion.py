@@ -11,6 +11,8 @@ __all__ = ["draw_insertion"]
 
 SHARES = (("elastic_N", "organ and membranes", "#56B4E9"), ("cutting_N", "cutting", "#E69F00"),
           ("friction_N", "friction along the shaft", "#009E73"))  # fmt: skip
+BESIDE = 0.15
+"""Share of the depths within which a puncture's name is written above that of the one before."""
 
 
 def draw_insertion(run: Run, path: Path) -> None:
@@ -27,13 +29,16 @@ def draw_insertion(run: Run, path: Path) -> None:
     for name, label, colour in SHARES:
         over_time.plot(time, trace[name], color=colour, linewidth=1.8, label=label)
     over_time.plot(time, force, color="0.1", linewidth=1.0, label="all together")
+    last_mm, height = -np.inf, 10
     for when, what in run.events:
         row = int(np.searchsorted(time, when))
         if "punctured" in what and row < len(time):
+            height = height + 14 if depth[row] - last_mm < BESIDE * np.ptp(depth) else 10
+            last_mm = depth[row]
             over_depth.annotate(
                 what.partition(" is punctured")[0].removeprefix("the "),
                 (depth[row], force[max(row - 1, 0)]),
-                xytext=(0, 10),
+                xytext=(0, height),
                 textcoords="offset points",
                 ha="center",
                 arrowprops={"arrowstyle": "-", "color": "0.4"},
