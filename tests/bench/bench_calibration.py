@@ -144,7 +144,9 @@ def coverage() -> None:
         "as modelled": {},
         "heavy tails (t, 3)": {"freedom": 3.0},
         "fatigue 50 % in 100 trials": {"fatigue": 0.5},
+        "no lapses": {"lapse": 0.0},
         "lapse 6 %": {"lapse": 0.06},
+        "lapse 10 %": {"lapse": 0.1},
     }
     for name, wrong in cases.items():
         found = calibrated(equal_people(400, **wrong), 120)

@@ -22,6 +22,8 @@ STEPS = (0.005, 1.5)
 LOW_FORCE_N = 0.2
 """Force at which Weber's law falls short, for the choice of steps and as the median of the prior [N]: between 0.1 and
 0.3 N (memory of the literature, low confidence)."""
+GREATEST_LAPSE, LAPSE_POWER, LAPSE_PRIOR = 0.2, 2.5, (0.5, 5.0)
+"""Greatest lapse of the grid, by what power its cells grow towards it, and the parameters of its Beta distribution."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +31,9 @@ class ThresholdPrior:
     """Prior knowledge of Weber fraction, low-force term and lapse before the first trial, on a grid.
 
     The Weber fraction is log-normal between two bounds, the low-force term log-normal around 0.2 N (factor 1.65) within
-    0.05 to 0.8 N, the lapse Beta(1, 10) (Schuett et al., 2016) up to 0.2. Cells of the Weber fraction are equal in its
-    logarithm.
+    0.05 to 0.8 N, the lapse Beta(0.5, 5) up to 0.2: the mean of the Beta(1, 10) of Schuett et al. (2016), with half its
+    weight. Cells of the Weber fraction are equal in its logarithm; those of the lapse are narrow at small ones, for a
+    grid without people who hardly lapse has their thresholds 12 % low.
 
     Attributes
     ----------
@@ -75,12 +78,12 @@ class ThresholdPrior:
     def parameters(self) -> tuple[Array, Array, Array, Array]:
         """Weber fractions, low-force terms [N], lapses and prior masses of the grid's points, each of shape (n,)."""
         offsets = np.geomspace(0.05, 0.8, self.offset_cells) if self.offset_cells > 1 else np.array([LOW_FORCE_N])
-        lapse_edges = np.linspace(0.0, 0.2, self.lapse_cells + 1)
+        lapse_edges = GREATEST_LAPSE * np.linspace(0.0, 1.0, self.lapse_cells + 1) ** LAPSE_POWER
         lapses = 0.5 * (lapse_edges[1:] + lapse_edges[:-1])
         masses = (
             norm.pdf(np.log(self.webers / self.weber), scale=self.weber_log_spread)[:, None, None]
             * norm.pdf(np.log(offsets / LOW_FORCE_N), scale=0.5)[:, None]
-            * np.diff(beta.cdf(lapse_edges, 1.0, 10.0))
+            * np.diff(beta.cdf(lapse_edges, *LAPSE_PRIOR))
         )
         grid = np.meshgrid(self.webers, offsets, lapses, indexing="ij")
         weber, offset, lapse = (values.ravel() for values in grid)

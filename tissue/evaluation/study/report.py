@@ -14,7 +14,7 @@ from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.cases import case_sections, discrimination_section
 from tissue.evaluation.study.fidelity import force_section, latency_section, task_section
 from tissue.evaluation.study.folder import StudyFolder
-from tissue.evaluation.study.paper import SOURCE
+from tissue.evaluation.study.paper import CHOSEN_AFTER, SOURCE
 from tissue.evaluation.study.parameters import parameters_section
 from tissue.evaluation.study.plan import LATENCY_MS, USERS
 from tissue.evaluation.study.section import Section
@@ -111,7 +111,7 @@ def _overview(folder: StudyFolder) -> Section:
         f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in hand and threshold. "
         "No person took part, and nothing here is a measure of physical fidelity: forces are held against the "
         "engine's own ideal, as the paper's are against its own.",
-        f"Figures of the paper: {SOURCE}. Nothing was tuned to them.",
+        f"Figures of the paper: {SOURCE}. Chosen after results had been seen: {'; '.join(CHOSEN_AFTER)}.",
     ]
     if empty:
         sentences.append(f"No trial yet of {', '.join(empty)}: the figures are of the other groups.")
