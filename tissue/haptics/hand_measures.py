@@ -1,7 +1,7 @@
 """Columns that a device, a prediction and a perception add to the trace, and where each lies among them."""
 
 __all__ = [
-    "ENERGY", "FILTERED_FORCE", "MARGIN", "MEASURES", "PERCEIVED", "PLAYED_FORCE", "PLAYED_TORQUE",
+    "ENERGY", "FILTERED_FORCE", "HAND_FORCE", "MARGIN", "MEASURES", "PERCEIVED", "PLAYED_FORCE", "PLAYED_TORQUE",
     "POSITION", "PREDICTED", "PREDICTED_BY", "PREDICTED_FORCE", "QUATERNION", "RAW_FORCE", "RESIDUAL", "SATURATED",
     "TRUE", "VIBRATION",
 ]  # fmt: skip
@@ -29,6 +29,9 @@ VIBRATION = tuple(f"vibration_{c}_N" for c in "xyz")
 """Columns of a spinning cutter's vibration: what the device's force holds of it; no other column of a force does."""
 TRUE = tuple(f"device_true_{c}_mm" for c in "xyz")
 """Columns of a device that knows where it is, which its encoders only step through."""
+HAND_FORCE = tuple(f"hand_force_{c}_N" for c in "xyz")
+"""Columns of the same devices: the force with which the device pushes the hand, mean over the tick before: that of the
+motors after latency, range and amplifier, less the device's friction and what moves its own mass."""
 
 POSITION, QUATERNION = slice(0, 3), slice(3, 7)
 PLAYED_FORCE, PLAYED_TORQUE, FILTERED_FORCE = slice(7, 10), slice(10, 13), slice(13, 16)

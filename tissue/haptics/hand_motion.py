@@ -7,7 +7,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.haptics import hand_measures as at
-from tissue.haptics.device.device import Device, DeviceParameters, KnowsPosition, Sample
+from tissue.haptics.device.device import Device, DeviceParameters, KnowsTruth, Sample
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
@@ -161,8 +161,8 @@ class HandMotion(Motion):
         shaken = at.VIBRATION * (self._vibration is not None)
         self._shaken = slice(len(self.measure_names), len(self.measure_names) + len(shaken))
         self.measure_names += shaken
-        self._truth = self.held.device if isinstance(self.held.device, KnowsPosition) else None
-        self.measure_names += at.TRUE * (self._truth is not None)
+        self._truth = self.held.device if isinstance(self.held.device, KnowsTruth) else None
+        self.measure_names += (at.TRUE + at.HAND_FORCE) * (self._truth is not None)
         self.measures = np.zeros(len(self.measure_names))
         self.measures[at.QUATERNION], self.measures[at.MARGIN] = (0.0, 0.0, 0.0, 1.0), self._margin
 
@@ -271,7 +271,7 @@ class HandMotion(Motion):
             self.observer.observe(here)
             row[at.POSITION], row[at.QUATERNION], row[at.FILTERED_FORCE] = 1e3 * here, sample.quaternion, filtered
             if self._truth is not None:
-                row[-3:] = 1e3 * np.array(self._truth.true_position_m)
+                row[-6:-3], row[-3:] = 1e3 * np.array(self._truth.true_position_m), self._truth.hand_force_N
         played, turning = self.held.play(*self.guard.limit_force(wanted, torque))
         self.observer.hold(played)
         row[at.PLAYED_FORCE], row[at.PLAYED_TORQUE] = played, turning

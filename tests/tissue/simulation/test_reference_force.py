@@ -33,6 +33,7 @@ class Stepped(RecordedDevice):
         return super().read(time_s)
 
     true_position_m = (0.0, 0.0, 2e-3)
+    hand_force_N = (0.0, 0.0, 0.0)
 
 
 class Oracle(Hold):

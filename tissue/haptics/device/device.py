@@ -15,7 +15,7 @@ from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.registry import DEVICES
 
 __all__ = [
-    "ComputedDevice", "Device", "DeviceError", "DeviceParameters", "KnowsPosition", "Sample", "device_parameters",
+    "ComputedDevice", "Device", "DeviceError", "DeviceParameters", "KnowsTruth", "Sample", "device_parameters",
 ]  # fmt: skip
 
 
@@ -51,12 +51,17 @@ class Device(Protocol):
 
 
 @runtime_checkable
-class KnowsPosition(Protocol):
-    """A device that knows where it is, as a simulated one does: its samples are steps of encoders."""
+class KnowsTruth(Protocol):
+    """A device that knows where it is and what the hand feels, as a simulated one does: samples are encoder steps."""
 
     @property
     def true_position_m(self) -> Triple:
         """Position of the tip at the last sample [m]."""
+        ...
+
+    @property
+    def hand_force_N(self) -> Triple:
+        """Force with which the device pushes the hand, mean over the tick before the last sample [N]."""
         ...
 
 

@@ -43,6 +43,8 @@ class SimulatedDevice(ComputedDevice):
         The moving parts; the truth that encoders only step through.
     orientation
         The true orientation.
+    hand_force_N
+        Force with which the device pushes the hand, mean over the tick before the last sample [N]; zeros for nothing.
     saturated_ticks, refused_commands
         How often a command was beyond the device, and how often it was not finite.
     """
@@ -70,6 +72,7 @@ class SimulatedDevice(ComputedDevice):
         )
         self.translation.position = position_m
         self.orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+        self.hand_force_N: Triple = NOTHING
         self.saturated_ticks = self.refused_commands = 0
         step = self._step = 1.0 / parameters.rate_Hz
         whole = int(parameters.transport_delay_s / step + 1e-9)
@@ -139,7 +142,7 @@ class SimulatedDevice(ComputedDevice):
         if self.six_dof:
             turned = turn_between(action.aim_quaternion, self.orientation)
             self.rotation.position = turned
-        time = at
+        time, where, went = at, self.translation.position, self.translation.velocity
         for length, back, fine in self._spans:
             force, torque = self._commands[-1 - back]
             # The aim moves on within the tick; at its middle the spring's mean pull is right to second order.
@@ -153,6 +156,7 @@ class SimulatedDevice(ComputedDevice):
             if self.six_dof:
                 self.rotation.advance(length, command=torque, external=NOTHING, substeps=fine)
             time += length
+        self._feel(external, action.aim_velocity_m_s, where, went)
         if self.six_dof:
             moved = _plus(self.rotation.position, _times(-1.0, turned), NOTHING)
             self.orientation = product(exponential(moved), self.orientation)
@@ -169,6 +173,21 @@ class SimulatedDevice(ComputedDevice):
             _times(rate, _plus(position, _times(-1.0, before.position_m), NOTHING)),
             orientation,
             _times(rate, turn),
+        )
+
+    def _feel(self, external: Triple, aim_velocity_m_s: Triple, where: Triple, went: Triple) -> None:
+        """What the hand felt in this tick: by the momentum of what moves with it, against its spring and damper."""
+        grip, moves, rate = self._grip, self.translation, self.parameters.rate_Hz
+        half, (px, py, pz), (vx, vy, vz) = 0.5 * self._step, moves.position, moves.velocity
+
+        def felt(pull: float, aim: float, x: float, p: float, v: float, q: float) -> float:
+            pull += grip.stiffness_N_m * (half * aim - 0.5 * (x + p))
+            return rate * (grip.damping_N_s_m * (p - x) + grip.mass_kg * (q - v)) - pull
+
+        self.hand_force_N = (
+            felt(external[0], aim_velocity_m_s[0], where[0], px, went[0], vx),
+            felt(external[1], aim_velocity_m_s[1], where[1], py, went[1], vy),
+            felt(external[2], aim_velocity_m_s[2], where[2], pz, went[2], vz),
         )
 
     def _hold(self, grip: Grip) -> None:

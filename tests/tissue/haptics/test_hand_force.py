@@ -1,0 +1,84 @@
+"""The force that a hand feels of a device: by the device's own balance, at rest, behind friction, and in a run."""
+
+import numpy as np
+import pytest
+
+from tissue import load_scene, simulate
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Grip, HandAction
+
+TICK = 1e-3
+GRIP = Grip(stiffness_N_m=300.0, damping_N_s_m=4.0, mass_kg=0.1)
+
+
+class Moving:
+    """A hand whose aim goes at a constant speed."""
+
+    def __init__(self, speed=(0.0, 0.0, 0.0), push=(0.0, 0.0, 0.0)):
+        self.speed, self.push = speed, push
+
+    def act(self, time_s, position_m):
+        aim = tuple(time_s * each for each in self.speed)
+        return HandAction(aim_m=aim, aim_velocity_m_s=self.speed, push_N=self.push, grip=GRIP)
+
+
+def felt(device, force_N, ticks, first=1):
+    """Force at the hand in each tick under a constant command [N], shape (ticks, 3), and velocity after it."""
+    forces, velocities = [], []
+    device.command(np.array(force_N), np.zeros(3))
+    for tick in range(first, first + ticks):
+        device.read(tick * TICK)
+        forces.append(device.hand_force_N)
+        velocities.append(device.translation.velocity)
+    return np.array(forces), np.array(velocities)
+
+
+def test_in_motion_it_is_the_motors_less_what_the_device_takes():
+    """Momentum of the device alone, which the force is not formed from."""
+    mass, damping, motor = 0.045, 0.35, np.array([0.8, -0.3, 0.1])
+    hand = Moving(speed=(0.02, 0.0, -0.05), push=(0.0, 0.4, 0.0))
+    device = SimulatedDevice(DeviceParameters(mass_kg=mass, damping_N_s_m=damping), hand)
+    places = [device.translation.position]
+    forces, velocities = [], [device.translation.velocity]
+    device.command(motor, np.zeros(3))
+    for tick in range(1, 60):
+        device.read(tick * TICK)
+        places.append(device.translation.position)
+        velocities.append(device.translation.velocity)
+        forces.append(device.hand_force_N)
+    went, change = np.diff(places, axis=0) / TICK, np.diff(velocities, axis=0) / TICK
+    played = np.vstack([np.zeros(3), np.tile(motor, (58, 1))])  # a command is played from the next tick on
+    balance = played - damping * went - mass * change
+    lag = np.abs(np.array(forces) - balance).max(axis=1)
+    assert lag[2:].max() < 2e-4 and min(lag[0], lag[1]) < 2e-4
+
+
+def test_at_rest_all_of_the_motors_force_reaches_the_hand():
+    device = SimulatedDevice(DeviceParameters(mass_kg=0.045, damping_N_s_m=0.35), Moving())
+    forces, _ = felt(device, [0.0, 0.0, 1.2], 1500)
+    assert forces[-1] == pytest.approx([0.0, 0.0, 1.2], abs=1e-9)
+
+
+@pytest.mark.parametrize("force", [0.1, 0.2, 0.6])
+def test_friction_keeps_a_weak_force_from_a_resting_hand(force):
+    friction = 0.26
+    device = SimulatedDevice(DeviceParameters(mass_kg=0.045, damping_N_s_m=0.35, friction_N=friction), Moving())
+    forces, velocities = felt(device, [0.0, 0.0, force], 1500)
+    assert velocities[-1] == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+    reached = forces[-1, 2]
+    if force < friction:
+        assert reached == pytest.approx(0.0, abs=1e-12)
+    else:  # it came to rest somewhere within the friction about what the motor gives
+        assert force - friction - 1e-9 < reached < force + friction + 1e-9 and reached != pytest.approx(force)
+
+
+def test_a_run_records_it_and_a_push_against_a_wall_is_felt():
+    scene = load_scene("wall", {"device": "touch", "duration_s": None})
+    trace = simulate(scene).trace
+    skin, played = trace.vectors("hand_force", "N"), trace.vectors("device_force", "N")
+    friction = device_parameters("touch").friction_N
+    pressed = np.linalg.norm(played, axis=1) > 0.5
+    assert pressed.sum() > 50
+    gap = np.linalg.norm((skin - played)[pressed], axis=1)
+    assert np.median(gap) < friction + 0.05  # latency, own mass and ripple apart, friction is what is lost
