@@ -11,13 +11,17 @@ from tissue.builders.loop import judged_loops, lead_ticks
 from tissue.builders.loop_settings import LoopSettings
 from tissue.haptics.device.device import Device
 from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.loop.cues import Cues
 from tissue.haptics.loop.vibration import PlayedVibration
+from tissue.haptics.played_force import PlayedForce
 from tissue.haptics.proxy.cutting_tool import CuttingTool
 from tissue.haptics.proxy.held_tool import HeldTool, PressingTool
 from tissue.haptics.proxy.held_turn import HeldTurn
 from tissue.haptics.proxy.probing_tool import ProbingTool
 from tissue.haptics.renderer import TurningRenderer, renderer
 from tissue.motion.motion import Motion
+from tissue.perception.enhancement import EnhancedForce
+from tissue.perception.perception import Perception
 
 __all__ = ["device_motion"]
 
@@ -98,8 +102,7 @@ def device_motion(
         predictor=settings.predictor(),
         lead_ticks=lead_ticks(settings),
         prediction_gain=chosen.prediction_gain,
-        perception=felt,
-        vibration=_vibration(settings),
+        played=_played(settings, felt),
         device_origin_m=device_origin_m,
     )
     notes = [judged.sentence(), f"{force_scale:g} N at the device for each newton at the tool{scale_note}"]
@@ -110,8 +113,7 @@ def device_motion(
             f"{scale:g} m at the tool for each metre at the device: a stiffness at the tool is felt as "
             f"{scale * force_scale:g} of it, a torque as {force_scale / scale:g}"
         )
-    if felt is not None:
-        notes.append(felt.sentence)
+    notes += [each.sentence for each in (settings.enhancing, felt) if each is not None]
     return motion, notes
 
 
@@ -122,10 +124,17 @@ def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldT
     return (ProbingTool if settings.contact == "touches" else PressingTool)(spring_N_m, start_m, turn)
 
 
-def _vibration(settings: LoopSettings) -> PlayedVibration | None:
-    """The vibration of a cutter's teeth as a device plays it."""
-    if (teeth := settings.vibration) is None:
-        return None
-    limits, step_s = settings.limits, settings.tick_s
-    slew_N = 1e3 * step_s * limits.force_slew_N_ms
-    return PlayedVibration(teeth, limit_N=limits.force_limit_N, slew_N=slew_N, step_s=step_s)
+def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
+    """What is made of a force before the device: for a person, and of a cutter's teeth and events at the tool."""
+    limits, tick_s, asked, teeth = settings.limits, settings.tick_s, settings.enhancing, settings.vibration
+    limit_N, slew_N = limits.force_limit_N, 1e3 * tick_s * limits.force_slew_N_ms
+    vibration = None if teeth is None else PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N, step_s=tick_s)
+    if asked is None:
+        return PlayedForce(limits, perception=person, vibration=vibration)
+    return PlayedForce(
+        limits,
+        enhancement=EnhancedForce(asked.lift, asked.contrast, tick_s=tick_s) if asked.maps else None,
+        perception=person,
+        vibration=vibration,
+        cues=Cues(asked.cue_N, limit_N=limit_N, slew_N=slew_N, tick_s=tick_s) if asked.cue_N > 0.0 else None,
+    )

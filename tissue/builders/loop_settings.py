@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from tissue.builders.enhancement import Enhancing, enhancing
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import HandParameters, hand_parameters
 from tissue.haptics.loop.vibration import Vibration
@@ -55,6 +56,8 @@ class LoopSettings:
         Makes a new predictor of the force; None where the present force is played.
     perception
         Makes the person for whom the force is scaled, with a generator of its noise; None where newtons stay newtons.
+    enhancing
+        What is changed in the force so that it is discriminated better; None for nothing.
     """
 
     device: str
@@ -69,6 +72,7 @@ class LoopSettings:
     vibration_share: float = 0.0
     predictor: Callable[[], Predictor | None] = no_predictor
     perception: "Callable[[np.random.Generator], Perception | None]" = no_perception
+    enhancing: Enhancing | None = None
 
     @property
     def late(self) -> bool:
@@ -139,4 +143,5 @@ def loop_settings(scene: Scene) -> LoopSettings:
         scene.output.vibration_share,
         predictor,
         perception,
+        None if scene.enhancement is None else enhancing(scene.enhancement, scene.perception, limits),
     )

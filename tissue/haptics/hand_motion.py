@@ -13,14 +13,13 @@ from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
 from tissue.haptics.loop.passivity import PassivityObserver
 from tissue.haptics.loop.sampled_loop import WallLoop
-from tissue.haptics.loop.vibration import PlayedVibration
+from tissue.haptics.played_force import PlayedForce
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.renderer import PassivityRenderer, Renderer, TurningRenderer
 from tissue.haptics.seen_contact import seen_contact
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import Quaternion
-from tissue.perception.perception import Perception
 from tissue.prediction.contact import SeesContact
 from tissue.prediction.predictor import Predictor
 
@@ -35,7 +34,7 @@ class HandMotion(Motion):
 
     Every tick: the sample is judged; the tool follows the device as far as the tissue of the last tick lets it; the
     tissue answers, and a free tool that has gone into it is brought back within the tick; device and tool give the
-    renderer's force, which passes prediction, low-pass, delay, perception and the device's range, is limited and
+    renderer's force, which passes prediction, low-pass, delay and what is made of it for a person, is limited and
     changes no faster than the device's slew. So the force answers the sample of its own tick. Without a good sample the
     tool rests, the renderer pauses and the force fades to zero. A tissue that answers only every ``model_ticks`` leaves
     tool and renderer's force as they are in between; a predictor then goes on by the device alone.
@@ -79,10 +78,8 @@ class HandMotion(Motion):
         How far ahead it is asked for.
     prediction_gain
         Share of the step from the present force to the predicted one that is played.
-    perception
-        The person for whom the force is scaled; without it newtons stay newtons.
-    vibration
-        Of the cutter's teeth, added to what is played.
+    played
+        What is made of the force after that; default the device's range alone.
     device_origin_m
         Where the tool is when the device is at its origin [m]; default where it makes both start together.
     """
@@ -106,13 +103,12 @@ class HandMotion(Motion):
         predictor: Predictor | None = None,
         lead_ticks: float = 0.0,
         prediction_gain: float = 1.0,
-        perception: Perception | None = None,
-        vibration: PlayedVibration | None = None,
+        played: PlayedForce | None = None,
         device_origin_m: Array | None = None,
     ) -> None:
-        self._limits, self._vibration = limits, vibration
+        self._limits, self._played = limits, played or PlayedForce(limits)
         self._tick = tick = loop.tick_s
-        self.predictor, self.perception, self._gain = predictor, perception, prediction_gain
+        self.predictor, self._gain = predictor, prediction_gain
         self._sees = predictor if isinstance(predictor, SeesContact) else None
         self._margin, self.device = margin, device
         self.tool, self.law, self._contact, self._control = tool, law, law, None
@@ -130,7 +126,6 @@ class HandMotion(Motion):
         # One filter for device and tool: where both go together, their difference stays zero.
         memory = loop.velocity_memory
         self._speeds = None if memory is None else ConstantAcceleration(memory, step_s=tick)
-        self._range = ForceRange(limit_N=limits.force_limit_N)
         self._turning = LowPass(loop.filter_s, step_s=tick)
         self._turning_delay = DelayLine(delay_ticks)
         self._turning_law = turning_law
@@ -156,11 +151,8 @@ class HandMotion(Motion):
     def device(self, device: Device | SafeDevice) -> None:
         self.held = SafeDevice(device, limits=self._limits, tick_s=self._tick)
         self.measure_names = at.MEASURES + at.PREDICTED * (self.predictor is not None)
-        self._person = slice(len(self.measure_names), len(self.measure_names) + len(at.PERCEIVED))
-        self.measure_names += at.PERCEIVED * (self.perception is not None)
-        shaken = at.VIBRATION * (self._vibration is not None)
-        self._shaken = slice(len(self.measure_names), len(self.measure_names) + len(shaken))
-        self.measure_names += shaken
+        self._person = slice(len(self.measure_names), len(self.measure_names) + len(self._played.names))
+        self.measure_names += self._played.names
         self._truth = self.held.device if isinstance(self.held.device, KnowsTruth) else None
         self.measure_names += (at.TRUE + at.HAND_FORCE) * (self._truth is not None)
         self.measures = np.zeros(len(self.measure_names))
@@ -257,19 +249,14 @@ class HandMotion(Motion):
                 force = force + self._gain * (predicted - force) if self._gain != 1.0 else predicted
                 if self._control is not None:
                     force = self._control.step(force, here, speed, self._tick)
-            filtered = scaled = self._delay.step(self._low_pass.step(force))
-            if (person := self.perception) is not None:
-                scaled = person.step(filtered)
-                row[self._person] = person.estimated_N, person.perceived, person.perceived_spread, person.above
-            wanted, compressed = self._range.play(scaled)
-            if self._vibration is not None:
-                row[self._shaken] = shaken = self._vibration.step(wanted)
-                wanted = wanted + shaken
+            filtered = self._delay.step(self._low_pass.step(force))
+            wanted, compressed = self._played.step(filtered, response)
             if self._turning_law is not None:
                 torque, squeezed = self._torques.play(self._turning_delay.step(self._turning.step(self._torque)))
                 compressed = compressed or squeezed
             self.observer.observe(here)
             row[at.POSITION], row[at.QUATERNION], row[at.FILTERED_FORCE] = 1e3 * here, sample.quaternion, filtered
+            row[self._person] = self._played.measures
             if self._truth is not None:
                 row[-6:-3], row[-3:] = 1e3 * np.array(self._truth.true_position_m), self._truth.hand_force_N
         played, turning = self.held.play(*self.guard.limit_force(wanted, torque))
@@ -279,11 +266,10 @@ class HandMotion(Motion):
 
     def _pause(self) -> None:
         """Nothing is known of the device in this tick."""
-        parts = self.law, self._turning_law, self.observer, self.predictor, self.perception, self._speeds
-        for part in (*parts, self._vibration):
+        for part in (self.law, self._turning_law, self.observer, self.predictor, self._speeds, self._played):
             if part is not None:
                 part.pause()
-        self.measures[self._shaken] = 0.0
+        self.measures[self._person] = self._played.measures
         self._delay.step(self._low_pass.value)
         self._turning_delay.step(self._turning.value)
 

@@ -25,6 +25,7 @@ from tissue.scene.coupling import (
     RendererName,
     WallAnatomy,
 )
+from tissue.scene.enhancement import Enhancement
 from tissue.scene.keep_clear import KeepClear
 from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
@@ -151,6 +152,8 @@ class Scene(Part):
     """What predicts the device's force ahead of latency and slow models."""
     perception: PerceptionName = "none"
     """For whom the device's force is scaled: none, population, or observer:FILE, as `tissue calibrate` writes it."""
+    enhancement: Enhancement | None = None
+    """What is changed in the device's force so that forces are discriminated better."""
     coupling: Coupling = Coupling()
     """How the device is coupled to the tool."""
     stress: Stress | None = None

@@ -31,6 +31,7 @@ PROMPT: dict[str, object] = {
     "renderer": "proxy",
     "prediction": "none",
     "perception": "none",
+    "enhancement": None,
     "output.low_pass_ms": 0.0,
     "coupling.delay_ms": 0,
     "coupling.model_ms": 1,

@@ -19,6 +19,7 @@ from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_ha
 from tissue.haptics.loop.sampled_loop import spectral_radius
 from tissue.haptics.loop.stability_map import growth_while_running
 from tissue.haptics.loop.vibration import ENVELOPE_S, PlayedVibration, Vibration
+from tissue.haptics.played_force import PlayedForce
 from tissue.models.wall import WallModel
 
 SHARE = 0.2
@@ -56,7 +57,8 @@ def test_only_the_device_s_force_holds_it():
         motion = held(coupling__force_scale=1.0)
         if share:
             passing = Vibration(1000.0, share=share, step_s=STEP_S)
-            motion._vibration = PlayedVibration(passing, limit_N=3.3, step_s=STEP_S)
+            teeth = PlayedVibration(passing, limit_N=3.3, step_s=STEP_S)
+            motion._played = PlayedForce(device_parameters("touch"), vibration=teeth)
         motion.device = RecordedDevice(
             np.array([0.0, 0.2, 1.5]), np.array([[0, 0, 0.02], [0, 0, -2e-3], [0, 0, -2e-3]])
         )
