@@ -35,6 +35,8 @@ def planted(key, rng):
         "force_rms_N": 0.1,
         "peak_force_N": 1.0 + rng.random(),
         "specimen": float(key.trial % 2),
+        "enhancement_cost": 0.0,
+        "skin_N": (1.0 + 0.3 * (key.trial % 2)) * (1.0 + 0.01 * rng.random()),
         "level_N": (1.0 + 0.3 * (key.trial % 2)) * (1.0 + 0.01 * rng.random()),
         "excess_mm": 0.5,
         "capsule_N": 2.1 + 0.01 * rng.random(),
@@ -55,7 +57,8 @@ def planted(key, rng):
             "force_error": made,
             "least_error": 0.6 * made,
             "excess_error": 0.8 * made,
-            "perceived_error": made + 0.1,
+            "ratio_error": made + 0.1,
+            "ratio_floor": 0.1,
             "latency_ms": latency,
         }
         rows.append({"method": method} | shared | felt)
@@ -86,7 +89,7 @@ def test_the_report_finds_what_was_planted(study):
     assert "T1: energy has the force_error of penalty in every trial and is left out" in text
     tests = {(row["task"], row["question"]): row for row in rows_of(page.parent / "tests.csv")}
     assert tests["T1", "force_error: method"]["shows"] == "effect"
-    assert tests["T2", "perceived_error: group"]["shows"] == "none shown"
+    assert tests["T2", "ratio_error: group"]["shows"] == "none shown"
     # Tests that rest on less are given with a model over all tasks as with each.
     assert tests["all", "position_error_mm: group"]["on less"].startswith("analysis of strata p")
     sources = {(row["of"], row["parameter"]): row["source"] for row in rows_of(page.parent / "parameters.csv")}

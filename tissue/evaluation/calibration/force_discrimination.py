@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from meshes.base.arrays import Array
 from tissue.evaluation.calibration.simulated_observer import SimulatedObservers
@@ -24,7 +25,7 @@ from tissue.perception.population import reference_observer
 from tissue.perception.psychometric import D_PRIME_75
 from tissue.perception.stevens import Intensity, intensity_of
 
-__all__ = ["Command", "Stimulus", "calibrated_commands", "gain_of", "share_right"]
+__all__ = ["Command", "Stimulus", "calibrated_commands", "chance_right", "gain_of", "sensitivity", "share_right"]
 
 RESAMPLES = 2000
 """Groups of people drawn again for an interval."""
@@ -131,6 +132,24 @@ def share_right(
         texture_noise = vibration["kappa"] * (texture_share * np.minimum(less, more) + vibration["offset_N"])
         distance = np.sign(distance) * np.hypot(distance, D_PRIME_75 * texture_share * (more - less) / texture_noise)
     return np.mean([people.discriminate(distance[trial], noise) for trial in range(trials)], axis=0)
+
+
+def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
+    """Sensitivity d' of each person for two forces at the skin, their scatter from trial to trial counted, shape (n,).
+
+    With the threshold t = kappa (F + offset) at the weaker force, a difference of mean m and deviation s is a distance
+    of mean 0.954 m / t and deviation 0.954 s / t between two intervals that are felt with a noise of unit variance
+    each; d' is the distance without scatter that is discriminated as often.
+    """
+    weaker = min(first.level_N, second.level_N)
+    per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))
+    scatter = per_newton * float(np.hypot(first.scatter_N, second.scatter_N))
+    return np.asarray(per_newton * abs(second.level_N - first.level_N) / np.sqrt(1.0 + 0.5 * scatter**2))
+
+
+def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
+    """Chance of each person, with a normal noise, to name the stronger of two forces at the skin, shape (n,)."""
+    return np.asarray(people.lapse + (1.0 - 2.0 * people.lapse) * ndtr(sensitivity(people, first, second) / 2.0**0.5))
 
 
 def _played(force_N: Array, device: ForceRange) -> Array:

@@ -36,34 +36,37 @@ def force_section(table: TrialTable) -> Section:
     rows = []
     for (task, method), part in _parts(table).items():
         error = 100.0 * part.values("force_error")
-        felt = spread(100.0 * part.values("perceived_error"), 1)
+        felt = [spread(100.0 * part.values(each), 1) for each in ("ratio_error", "ratio_floor")]
         shares = (spread(100.0 * part.values(each)) for each in ("least_error", "excess_error"))
         paper = against(error, FORCE_ERROR[task].get(method))
-        rows.append((task, method, spread(error), *paper, *shares, felt, str(len(part))))
+        rows.append((task, method, spread(error), *paper, *shares, *felt, str(len(part))))
     judged = [(f"{row[0]} {row[1]} {row[4]}", row[4] == "agrees") for row in rows if row[3]]
     agreeing, apart = (", ".join(what for what, agrees in judged if agrees is wanted) for wanted in (True, False))
     sentences = (
         "Error of what is played, ||F - F_ideal|| / ||F_ideal|| over all ticks at the motor, F_ideal being the prompt "
         "force at the device's true position at that time. Beside it stand the least error, that of a perfect force "
         "through the same encoder steps, low-pass and amplifier, and what is in excess of it, sqrt(error² - least²). "
-        "The force is taken before it is scaled for a person, in newtons; what that scaling does is in the last column "
-        "but one, the error of the intensity that this person feels against the reference observer's.",
+        "The force is taken before it is scaled for a person, in newtons.",
+        "What scaling does is shown by ratios of intensity, in windows of a tenth of a second: the spread of the "
+        "logarithm of what this person feels of the force at the skin over what the reference feels of the ideal one, "
+        "beside that of a perfect force through the same encoder steps. That a calibration brings a person to the "
+        "reference's exponent is a recovery of the parameters by which these people were made, no finding on people.",
         f"Agreeing with the paper: {agreeing or 'none'}; not agreeing: {apart or 'none'}.",
         *_ratios(table),
     )
     header = (
-        "task", "method", "force error / %", "paper %", "against paper", "least error %", "excess %", "felt error / %",
-        "trials",
+        "task", "method", "force error / %", "paper %", "against paper", "least error %", "excess %",
+        "error of ratios / %", "its floor / %", "trials",
     )  # fmt: skip
     return Section("force", "Force fidelity", sentences, header, tuple(rows), _force_picture(table))
 
 
 def _ratios(table: TrialTable) -> list[str]:
-    """The headline: what prediction leaves of the error, and what perception leaves of the felt one."""
+    """The headline: what prediction leaves of the error, and perception of that of ratios."""
     remarks, parts = [], _parts(table)
     for metric, first, second, what in (
         ("force_error", "penalty", "koopman", "Prediction leaves of the force error"),
-        ("perceived_error", "koopman", "koopman-perception", "Scaling for the person leaves of the felt error"),
+        ("ratio_error", "koopman", "koopman-perception", "Scaling for the person leaves of the error of ratios"),
     ):
         if {first, second} <= set(methods_of(table)):
             means = {key: float(part.values(metric).mean()) for key, part in parts.items()}
@@ -78,12 +81,12 @@ def _force_picture(table: TrialTable) -> bytes:
     """Bars with 95 % intervals over users, the paper's figures as diamonds."""
     figure, (left, right) = drawing(11.0, 4.2, 2)
     _bars(left, table, "force_error", "force error %", 100.0)
-    _bars(right, table, "perceived_error", "felt error %", 100.0)
+    _bars(right, table, "ratio_error", "error of intensity ratios / %", 100.0)
     methods = methods_of(table)
     for index, task in enumerate(tasks_of(table)):
         for shift, method in enumerate(methods):
             if paper := FORCE_ERROR[task].get(method):
-                at = index + 0.2 * (shift - 0.5 * (len(methods) - 1))
+                at = index + 0.84 / len(methods) * (shift - 0.5 * (len(methods) - 1))
                 left.errorbar(at, paper.mean, paper.spread, fmt="D", color="black", ms=4, capsize=2, lw=0.8)
     left.plot([], [], "kD", ms=4, label="paper ± sd")
     legend(figure, left)
@@ -97,8 +100,8 @@ def _bars(axes: Axes, table: TrialTable, metric: str, label: str, scale: float =
         means, lows, highs = (
             scale * np.array([interval_by_users(table.where(task=task), metric, method) for task in tasks]).T
         )
-        at = np.arange(len(tasks)) + 0.2 * (shift - 0.5 * (len(methods) - 1))
-        axes.bar(at, means, 0.18, color=COLOURS[method], label=method)
+        at = np.arange(len(tasks)) + 0.84 / len(methods) * (shift - 0.5 * (len(methods) - 1))
+        axes.bar(at, means, 0.76 / len(methods), color=COLOURS[method], label=method)
         axes.errorbar(at, means, [means - lows, highs - means], fmt="none", ecolor="#333333", capsize=3, lw=1.0)
     axes.set_xticks(range(len(tasks)), [f"{task}\n{TASKS[task].scene}" for task in tasks])
     axes.set_ylabel(label)

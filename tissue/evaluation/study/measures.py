@@ -10,9 +10,11 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.puncture import NOTICED
+from tissue.haptics.hand_measures import ENHANCED
 from tissue.perception.observer import Observer
 from tissue.perception.population import reference_observer
 from tissue.scene.tool import PathMotion
+from tissue.simulation.enhancement_cost import enhancement_cost
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S
@@ -21,6 +23,8 @@ __all__ = ["measured"]
 
 ARRIVED_MM = 2.0
 """Distance from the path's end within which a task counts as done."""
+LEAST_N = 1e-3
+"""Force below which nothing is felt, for the logarithm [N]."""
 TOUCHES = 0.05
 """Share of a trial's greatest force above which a contact counts."""
 WINDOW_S = 0.1
@@ -47,7 +51,8 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
         If nothing was touched, or what the task asks for did not happen.
     """
     trace = run.trace
-    played, ideal, nearest, sent = motor_forces(run, ideal_force_N(run, cores=1))
+    played, ideal, nearest, _ = motor_forces(run, ideal_force_N(run, cores=1))
+    skin = trace.vectors("hand_force", "N")[1:]  # of the tick before each row
     size = np.linalg.norm(ideal, axis=1)
     if not size.any():
         raise InputError("tool must touch in a trial, got no contact: look at the scene's path")
@@ -61,7 +66,8 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
         "force_error": (error := metrics.force_error(played, ideal)),
         "least_error": (least := metrics.force_error(nearest, ideal)),
         "excess_error": metrics.excess_error(error, least),
-        "perceived_error": _perceived_error(sent, ideal, person),
+        **_ratios(skin, nearest, ideal, person),
+        "enhancement_cost": enhancement_cost(trace)["force_error"] if ENHANCED[0] in trace.columns else 0.0,
         "force_mae_N": metrics.force_mae_N(played, ideal),
         "force_rms_N": metrics.force_rms_N(played, ideal),
         "latency_ms": metrics.latency_ms(played, nearest, tick_s=TICK_S),
@@ -72,6 +78,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
         "spectral_arc_length": metrics.spectral_arc_length(np.linalg.norm(velocity, axis=1), tick_s=TICK_S),
         "peak_force_N": float(size.max()),
         "level_N": float(size[touching].mean()),
+        "skin_N": float(np.linalg.norm(skin, axis=1)[touching].mean()),
     }
     match task:
         case "needle":
@@ -93,7 +100,7 @@ def _pierced(run: Run) -> dict[str, float]:
             "threshold"
         )
     at, window = round(puncture / TICK_S), round(WINDOW_S / TICK_S)
-    size = np.linalg.norm(run.trace.vectors("raw_force", "N"), axis=1)
+    size = np.linalg.norm(run.trace.vectors("hand_force", "N"), axis=1)
     return {
         "excess_mm": metrics.excess_travel_mm(-run.trace["tool_z_mm"], puncture_tick=at),
         "capsule_N": float(size[max(0, at - window) : at].mean()),
@@ -108,12 +115,27 @@ def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
     return {"torque_Nm": float(np.mean(windows)), "torque_scatter_Nm": float(np.std(windows))}
 
 
-def _perceived_error(played_N: Array, ideal_N: Array, person: Observer) -> float:
-    """Error of the intensity that is felt by this person, ||S(F) - S_ref(F_ideal)|| / ||S_ref(F_ideal)||."""
-    reference = reference_observer()
-    felt = person.alpha * np.linalg.norm(played_N, axis=1) ** person.beta
-    meant = reference.alpha * np.linalg.norm(ideal_N, axis=1) ** reference.beta
-    return metrics.force_error(felt, meant)
+def _ratios(skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer) -> dict[str, float]:
+    """How far ratios of intensity are off, and by how much those of a perfect force through the same encoder steps are.
+
+    Over windows of a tenth of a second in contact, the spread of ln S(F) - ln S_ref(F_ideal), S being Stevens' law: 0.1
+    are ratios that are off by a tenth, and 0 is perfect. A common factor, which a person's numbers cannot be separated
+    from, takes no part. The exponents are those that the simulated people were made with.
+    """
+    count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
+    means = (
+        np.array([part.mean(axis=0) for part in np.array_split(each, count)]) for each in (skin_N, nearest_N, ideal_N)
+    )
+    skin, nearest, ideal = (np.linalg.norm(each, axis=1) for each in means)
+    met = ideal > TOUCHES * ideal.max()
+    if met.sum() < 2:
+        raise InputError("tool must touch for two tenths of a second in a trial, got less: look at the scene's path")
+    beta = reference_observer().beta
+    felt, least, meant = (np.log(np.maximum(each[met], LEAST_N)) for each in (skin, nearest, ideal))
+    return {
+        "ratio_error": float(np.std(person.beta * felt - beta * meant)),
+        "ratio_floor": float(np.std(beta * (least - meant))),
+    }
 
 
 def _from_path(tip_mm: Array, path_mm: Array) -> Array:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from tissue.evaluation.study.plan import LATENCY_MS, USERS, Plan
 from tissue.evaluation.study.section import Section
-from tissue.evaluation.study.tasks import METHODS
+from tissue.evaluation.study.tasks import METHODS, PERSONAL
 from tissue.evaluation.study.trial import NUMBERS, PACE_SPREAD, WITHIN_SPREAD
 from tissue.materials.constants import constants
 
@@ -52,6 +52,6 @@ def parameters_section(plan: Plan) -> Section:
 def _methods(plan: Plan) -> Iterator[Row]:
     """What each method sets."""
     for method in plan.methods:
-        keys = dict(METHODS[method]) | ({"perception": "the person's own"} if method.endswith("perception") else {})
+        keys = dict(METHODS[method]) | ({"perception": "the person's own"} if method in PERSONAL else {})
         for name, value in keys.items():
             yield f"method {method}", name, str(value), "", "", "the method's definition"

@@ -31,7 +31,14 @@ __all__ = [
 
 ROUNDED = 0.05
 """Share by which a figure may be off that is published without its spread."""
-COLOURS = {"penalty": "#999999", "energy": "#E69F00", "koopman": "#0072B2", "koopman-perception": "#009E73"}
+COLOURS = {
+    "penalty": "#999999",
+    "energy": "#E69F00",
+    "koopman": "#0072B2",
+    "koopman-look-ahead": "#56B4E9",
+    "koopman-perception": "#009E73",
+    "koopman-enhanced": "#CC79A7",
+}
 """Of methods (Okabe and Ito 2008)."""
 
 

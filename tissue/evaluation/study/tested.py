@@ -21,11 +21,11 @@ from tissue.evaluation.study.section import Section, drawing, image, methods_of,
 
 __all__ = ["DIRECTIONS", "composite_section", "power_section", "regression_section", "tests_sections"]
 
-COMPARED = ("force_error", "perceived_error", "position_error_mm")
+COMPARED = ("force_error", "ratio_error", "position_error_mm")
 """Metrics that are tested, one by one and together."""
 DIRECTIONS = {
     "force_error": -1,
-    "perceived_error": -1,
+    "ratio_error": -1,
     "position_error_mm": -1,
     "acceleration_change_m_s2": -1,
     "time_s": -1,

@@ -20,7 +20,7 @@ from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.measures import measured
 from tissue.evaluation.study.plan import LATENCY_MS, REFERENCE, Plan, TrialKey
 from tissue.evaluation.study.puncture import RATE_N_S, pierce
-from tissue.evaluation.study.tasks import METHODS, TASKS, VARIANTS, Variant
+from tissue.evaluation.study.tasks import ENHANCED, METHODS, PERSONAL, TASKS, VARIANTS, Variant
 from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
 from tissue.perception.observer import PARAMETERS, Observer, write_observer
 from tissue.scene.load import changed, load_scene
@@ -79,8 +79,8 @@ class TrialScene:
     Attributes
     ----------
     scenes
-        The scene under each method. All have the stiffness of the coupling that is the smallest of those chosen for
-        each, so that it is stable under all and their forces can be compared.
+        The scene under each method. All but the enhanced one have the stiffness of the coupling that is the smallest of
+        those chosen for each, so that it is stable under all and their forces can be compared; that one may be softer.
     specimen
         Number of the specimen.
     person
@@ -138,10 +138,14 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     per_trial = {"seed": seed, "motion.feed_mm_s": round(pace * scene.motion.feed_mm_s, 3)}
     by_hand = {"device": "touch", "hand": key.group, "coupling.delay_ms": LATENCY_MS, **variant.changes}
     scene = changed(scene, by_hand)
-    scenes = {name: changed(scene, method) for name, method in METHODS.items()}
-    scenes["koopman-perception"] = changed(scenes["koopman-perception"], {"perception": f"observer:{observer}"})
-    per_trial["coupling.stiffness_N_m"] = floor(min(map(_stiffness_N_m, scenes.values())))
-    return TrialScene({name: changed(each, per_trial) for name, each in scenes.items()}, specimen, truth, pace)
+    felt = {name: {"perception": f"observer:{observer}"} if name in PERSONAL else {} for name in METHODS}
+    scenes = {name: changed(scene, {**method, **felt[name]}) for name, method in METHODS.items()}
+    stiffness = {name: floor(_stiffness_N_m(each)) for name, each in scenes.items()}
+    common = min(value for name, value in stiffness.items() if name != ENHANCED)
+    for name, scene in scenes.items():
+        own = {"coupling.stiffness_N_m": min(common, stiffness[name])}
+        scenes[name] = changed(scene, per_trial | own)
+    return TrialScene(scenes, specimen, truth, pace)
 
 
 @lru_cache(maxsize=64)
