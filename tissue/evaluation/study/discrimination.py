@@ -1,9 +1,11 @@
 """Section of a report: who discriminates what from the force at the skin, under each method."""
 
+from collections.abc import Callable
 from itertools import product
 from textwrap import wrap
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -24,21 +26,22 @@ RESAMPLES = 400
 """Draws of trials and people anew for an interval."""
 WIDEST = 12
 """Letters of a line below a group of bars."""
+Picked = NDArray[np.int64]
 Levels = tuple[Array, Array]
 """Forces at the skin of the first and the second of a pair over trials [N], shape (n,) and (m,)."""
 
 
 def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) -> Section:
     """Sensitivity d' and right answers for every pair, group and method, and their change against plain scaling."""
-    sources = {f"{task}: softer or usual": (specimens, table.where(task=task)) for task in tasks_of(table)}
-    for name, task, levels in (
-        ("capsule or parenchyma", "needle", sides),
-        ("carious or sound", "drilling", specimens),
-    ):
-        if (case := case_table(folder, task)) is not None:
-            sources[name] = (levels, case)
+    taken: list[tuple[str, Callable[[TrialTable], Levels | None], TrialTable]] = [
+        (f"{task}: softer or usual", specimens, table.where(task=task)) for task in tasks_of(table)
+    ]
+    if (needle := case_table(folder, "needle")) is not None:
+        taken.append(("capsule or parenchyma", sides, needle))
+    if (drilling := case_table(folder, "drilling")) is not None:
+        taken.append(("carious or sound", specimens, drilling))
     rows, shown, changes = [], {}, {}
-    for what, (levels, part) in sources.items():
+    for what, levels, part in taken:
         methods = methods_of(part)
         pairs = {method: levels(part.where(method=method)) for method in methods}
         found = {method: pair for method, pair in pairs.items() if pair is not None}
@@ -70,13 +73,13 @@ def changes_of(people: SimulatedObservers, plain: Levels, other: Levels, rng: np
     Intervals of 95 % are by drawing people and trials again, the same trials under both methods.
     """
 
-    def means(pair: Levels, picked: list[Array], who: Array) -> Array:
+    def means(pair: Levels, picked: list[Picked], who: Picked) -> Array:
         less, more = sorted(
             (_level(each[index]) for each, index in zip(pair, picked, strict=True)), key=lambda each: each.level_N
         )
         return np.array([sensitivity(people, less, more)[who].mean(), chance_right(people, less, more)[who].mean()])
 
-    def change(picked: list[Array], who: Array) -> Array:
+    def change(picked: list[Picked], who: Picked) -> Array:
         before = np.maximum(means(plain, picked, who), 1e-9)
         return np.asarray(100.0 * (means(other, picked, who) / before - 1.0))
 

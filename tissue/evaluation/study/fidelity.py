@@ -56,7 +56,7 @@ def force_section(table: TrialTable) -> Section:
     )
     header = (
         "task", "method", "force error / %", "paper %", "against paper", "least error %", "excess %",
-        "error of ratios / %", "its floor / %", "trials",
+        "error of ratios / %", "least error of ratios / %", "trials",
     )  # fmt: skip
     return Section("force", "Force fidelity", sentences, header, tuple(rows), _force_picture(table))
 

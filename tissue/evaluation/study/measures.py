@@ -19,7 +19,7 @@ from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S
 
-__all__ = ["measured"]
+__all__ = ["intensity_ratios", "measured"]
 
 ARRIVED_MM = 2.0
 """Distance from the path's end within which a task counts as done."""
@@ -66,7 +66,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
         "force_error": (error := metrics.force_error(played, ideal)),
         "least_error": (least := metrics.force_error(nearest, ideal)),
         "excess_error": metrics.excess_error(error, least),
-        **_ratios(skin, nearest, ideal, person),
+        **intensity_ratios(skin, nearest, ideal, person),
         "enhancement_cost": enhancement_cost(trace)["force_error"] if ENHANCED[0] in trace.columns else 0.0,
         "force_mae_N": metrics.force_mae_N(played, ideal),
         "force_rms_N": metrics.force_rms_N(played, ideal),
@@ -115,7 +115,7 @@ def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
     return {"torque_Nm": float(np.mean(windows)), "torque_scatter_Nm": float(np.std(windows))}
 
 
-def _ratios(skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer) -> dict[str, float]:
+def intensity_ratios(skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer) -> dict[str, float]:
     """How far ratios of intensity are off, and by how much those of a perfect force through the same encoder steps are.
 
     Over windows of a tenth of a second in contact, the spread of ln S(F) - ln S_ref(F_ideal), S being Stevens' law: 0.1

@@ -143,8 +143,7 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     stiffness = {name: floor(_stiffness_N_m(each)) for name, each in scenes.items()}
     common = min(value for name, value in stiffness.items() if name != ENHANCED)
     for name, scene in scenes.items():
-        own = {"coupling.stiffness_N_m": min(common, stiffness[name])}
-        scenes[name] = changed(scene, per_trial | own)
+        scenes[name] = changed(scene, {**per_trial, "coupling.stiffness_N_m": min(common, stiffness[name])})
     return TrialScene(scenes, specimen, truth, pace)
 
 

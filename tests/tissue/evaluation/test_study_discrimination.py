@@ -1,0 +1,102 @@
+"""Discrimination at the skin and ratios of intensity: perfect and wrong answers, null and planted changes, their rates."""
+
+import numpy as np
+import pytest
+
+from tissue.evaluation.calibration.force_discrimination import Stimulus, chance_right, sensitivity, share_right
+from tissue.evaluation.calibration.simulated_observer import draw_observers
+from tissue.evaluation.study.discrimination import changes_of
+from tissue.evaluation.study.measures import intensity_ratios
+from tissue.haptics.loop.filters import ForceRange
+from tissue.perception.observer import Observer
+from tissue.perception.population import reference_observer
+
+WIDE = ForceRange(limit_N=1e4)
+PAIRS = [
+    (Stimulus(1.0), Stimulus(1.1)), (Stimulus(0.3, 0.02), Stimulus(0.36, 0.03)), (Stimulus(2.0, 0.2), Stimulus(2.0)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_the_chance_is_the_share_of_answers_that_people_give(pair):
+    """A simulation of 300 answers each; the threshold's own scatter with the force is what the closed form leaves out."""
+    people = draw_observers("novice", 300, np.random.default_rng(0))
+    answered = share_right(people, *pair, seed=1, trials=300, limits=WIDE)
+    assert chance_right(people, *pair).mean() == pytest.approx(answered.mean(), abs=0.01)
+
+
+def test_sensitivity_is_webers_and_three_quarters_are_right_at_the_threshold():
+    people = draw_observers("expert", 50, np.random.default_rng(2))
+    step = people.kappa * (1.0 + people.offset_N)
+    for who in range(3):
+        pair = Stimulus(1.0), Stimulus(1.0 + step[who])
+        assert sensitivity(people, *pair)[who] == pytest.approx(0.954, abs=1e-3)
+        right = chance_right(people, *pair)[who]
+        assert right == pytest.approx(people.lapse[who] + (1.0 - 2.0 * people.lapse[who]) * 0.75, abs=1e-4)
+
+
+def level(mean, scatter, rng, count=40):
+    return mean + scatter * rng.standard_normal(count)
+
+
+def test_the_same_forces_change_nothing_and_a_planted_gain_is_found():
+    """Everything doubled behind the person's noise: by hand, d' grows by 2 (F + o) / (2 F + o) without scatter."""
+    rng = np.random.default_rng(0)
+    people = draw_observers("novice", 100, rng)
+    pair = level(0.1, 0.0, rng), level(0.11, 0.0, rng)
+    assert changes_of(people, pair, pair, rng) == pytest.approx(np.zeros((2, 3)))
+    found = changes_of(people, pair, (2.0 * pair[0], 2.0 * pair[1]), rng)
+    plain = 0.01 / (people.kappa * (0.1 + people.offset_N))
+    doubled = 0.02 / (people.kappa * (0.2 + people.offset_N))
+    assert found[0, 0] == pytest.approx(100.0 * (doubled.mean() / plain.mean() - 1.0), rel=1e-6)
+    assert found[0, 1] > 0.0 and found[1, 1] > 0.0
+
+
+def test_a_gain_helps_less_where_the_scatter_grows_with_it():
+    rng = np.random.default_rng(1)
+    people = draw_observers("novice", 100, rng)
+    still = level(0.3, 0.0, rng), level(0.36, 0.0, rng)
+    loose = level(0.3, 0.1, rng), level(0.36, 0.1, rng)
+    gains = [changes_of(people, pair, (2.0 * pair[0], 2.0 * pair[1]), rng)[0, 0] for pair in (still, loose)]
+    assert 0.0 < gains[1] < 0.5 * gains[0]
+
+
+@pytest.mark.slow
+def test_null_changes_are_called_at_their_nominal_rate():
+    """Two methods with scatters of their own and nothing between them: 5 % of intervals leave out zero, here 1 to 10."""
+    called, studies = 0, 200
+    for seed in range(studies):
+        rng = np.random.default_rng(seed)
+        people = draw_observers("novice", 50, rng)
+        plain, other = ((level(0.5, 0.05, rng), level(0.6, 0.05, rng)) for _ in range(2))
+        _, low, high = changes_of(people, plain, other, rng)[0]
+        called += low > 0.0 or high < 0.0
+    assert 0.01 <= called / studies <= 0.1
+
+
+def person(beta):
+    return Observer.known("someone", alpha=1.7, beta=beta, kappa=0.07, offset_N=0.2, lapse=0.01, sigma=0.2)
+
+
+def forces(ticks=3000):
+    time = np.arange(ticks) * 1e-3
+    return np.column_stack([np.zeros(ticks), np.zeros(ticks), 0.6 + 0.4 * np.sin(1.5 * time)])
+
+
+def test_a_perfect_force_has_no_error_of_ratios_whatever_its_factor():
+    ideal, beta = forces(), reference_observer().beta
+    for factor in (0.5, 1.0, 3.0):
+        found = intensity_ratios(factor * ideal, ideal, ideal, person(beta))
+        assert found["ratio_error"] == pytest.approx(0.0, abs=1e-12) == found["ratio_floor"]
+
+
+def test_a_person_of_another_exponent_is_wrong_by_the_spread_of_the_force_and_right_when_mapped():
+    ideal, beta = forces(), reference_observer().beta
+    size = np.array([part.mean() for part in np.array_split(ideal[:, 2], 30)])
+    other = person(beta + 0.3)
+    assert intensity_ratios(ideal, ideal, ideal, other)["ratio_error"] == pytest.approx(
+        0.3 * np.log(size).std(), rel=1e-9
+    )
+    held = np.repeat(size, 100)[:, None] * [0.0, 0.0, 1.0]
+    mapped = np.repeat(size ** (beta / other.beta), 100)[:, None] * [0.0, 0.0, 1.0]
+    assert intensity_ratios(mapped, held, held, other)["ratio_error"] == pytest.approx(0.0, abs=1e-12)
