@@ -5,7 +5,8 @@ import pytest
 
 from tissue.evaluation.calibration.force_discrimination import Stimulus, chance_right, sensitivity, share_right
 from tissue.evaluation.calibration.simulated_observer import draw_observers
-from tissue.evaluation.study.discrimination import changes_of
+from tissue.evaluation.statistics.trials import TrialTable
+from tissue.evaluation.study.discrimination import changes_of, sides, specimens
 from tissue.evaluation.study.measures import intensity_ratios
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.observer import Observer
@@ -59,6 +60,39 @@ def test_a_gain_helps_less_where_the_scatter_grows_with_it():
     loose = level(0.3, 0.1, rng), level(0.36, 0.1, rng)
     gains = [changes_of(people, pair, (2.0 * pair[0], 2.0 * pair[1]), rng)[0, 0] for pair in (still, loose)]
     assert 0.0 < gains[1] < 0.5 * gains[0]
+
+
+def trials(per_person, *, scatter=0.02, nested=False, people=10, seed=0, difference=0.1):
+    """Trials of people whose forces differ by up to three times, on three specimens in turn."""
+    rng, rows = np.random.default_rng(seed), []
+    for user in range(people):
+        usual = 0.3 * 3.0 ** (user / people)
+        for trial in range(per_person):
+            specimen = float((user if nested else user + trial) % 3)
+            rows.append({
+                "task": "T1", "group": "novice", "user": f"{user:02d}", "trial": trial, "seed": 0, "method": "koopman",
+                "specimen": specimen, "skin_N": usual + difference * specimen + scatter * rng.standard_normal(),
+                "capsule_N": usual + 0.4 + scatter * rng.standard_normal(), "parenchyma_N": usual,
+            })  # fmt: skip
+    return TrialTable.from_rows(rows)
+
+
+def test_what_people_differ_by_is_no_scatter_of_a_specimen():
+    less, more = specimens(trials(9))
+    assert more.mean() - less.mean() == pytest.approx(0.1, abs=0.01)
+    assert np.std(less, ddof=1) == pytest.approx(0.02, rel=0.3) == np.std(more, ddof=1)
+    before, after = sides(trials(9))
+    assert before.mean() - after.mean() == pytest.approx(0.4, abs=0.01) and before.std() < 0.03
+
+
+def test_the_scatter_that_is_stated_is_on_the_average_the_planted_one():
+    found = [np.std(np.concatenate([each - each.mean() for each in specimens(trials(3, seed=k))])) for k in range(200)]
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(0.02, rel=0.05)
+
+
+def test_people_who_met_one_specimen_each_cannot_be_separated_from_it():
+    assert specimens(trials(9, nested=True)) is None
+    assert specimens(trials(1)) is None
 
 
 @pytest.mark.slow

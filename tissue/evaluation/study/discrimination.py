@@ -60,7 +60,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
                     row += [f"{value:+.1f} [{low:+.1f}, {high:+.1f}]" for value, low, high in change]
                 rows.append((*row, *[""] * (9 - len(row))))
     if not rows:
-        return Section("discrimination", "Discrimination", ("No pair of specimens has two trials each yet.",))
+        return Section("discrimination", "Discrimination", ("People have too few trials on two specimens each.",))
     header = ("what", "group", "method", "less N", "more N", "d′", "right %", "change of d′ %", "change of right %")
     return Section(
         "discrimination", "Discrimination", _sentences(changes), header, tuple(rows), _bars(shown)
@@ -93,15 +93,35 @@ def changes_of(people: SimulatedObservers, plain: Levels, other: Levels, rng: np
 
 
 def specimens(part: TrialTable) -> Levels | None:
-    """Forces at the skin on the first two specimens of a task, or None where one has less than two trials."""
-    levels = [part.values("skin_N")[part.values("specimen") == index] for index in (0.0, 1.0)]
-    return (levels[0], levels[1]) if min(map(len, levels)) >= 2 else None
+    """Forces at the skin on the first two specimens of a task; None where trials do not separate them from people.
+
+    A person compares for themselves: what people differ by, in pace and in how forces are scaled for them, is taken out
+    by least squares of the force on person and specimen.
+    """
+    chosen = np.isin(part.values("specimen"), (0.0, 1.0))
+    levels, second = part.values("skin_N")[chosen], part.values("specimen")[chosen] == 1.0
+    people = np.array([f"{group} {user}" for group, user in zip(part.group, part.user, strict=True)])[chosen]
+    if min(second.sum(), (~second).sum()) < 2:
+        return None
+    names = sorted(set(people))
+    design = np.column_stack([*((people == name) for name in names), second]).astype(float)
+    if len(levels) <= len(names) + 1 or np.linalg.matrix_rank(design) <= len(names):
+        return None
+    effects, *_ = np.linalg.lstsq(design, levels, rcond=None)
+    shares = np.sqrt(len(levels) / (len(levels) - len(names) - 1))  # residuals of a fit are smaller than the scatter
+    mean = effects[:-1].mean()
+    fitted = mean + effects[-1] * second + shares * (levels - design @ effects)
+    return fitted[~second], fitted[second]
 
 
 def sides(needle: TrialTable) -> Levels | None:
-    """Forces at the skin before and after the capsule's puncture, or None of less than two trials."""
+    """Forces at the skin before and after the capsule's puncture, people's own means taken out; None of few trials."""
     before, after = needle.values("capsule_N"), needle.values("parenchyma_N")
-    return (before, after) if len(before) >= 2 else None
+    if len(before) < 2:
+        return None
+    people, middle = np.array([*zip(needle.group, needle.user, strict=True)]), 0.5 * (before + after)
+    means = np.array([middle[(people == each).all(axis=1)].mean() for each in people])
+    return before - means + middle.mean(), after - means + middle.mean()
 
 
 def right_percent(levels: Levels, seed: int) -> dict[str, float]:
@@ -131,7 +151,7 @@ def _sentences(changes: dict[tuple[str, str, str], Array]) -> tuple[str, ...]:
     sentences = [
         f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % being chance. Forces are "
         "those that reach the hand in the runs of each method: after latency, low-pass, range, amplifier and friction "
-        "of the device; their scatter is that over trials, and a person's own noise comes after it."
+        "of the device. Their scatter is that over a person's trials, and the person's own noise comes after it."
     ]
     for method in dict.fromkeys(key[2] for key in changes):
         part = [each for key, each in changes.items() if key[2] == method]

@@ -135,7 +135,11 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     met = task.specimens[specimen] if variant.extreme is None else task.extremes[variant.extreme]
     scene = changed(load_scene(task.scene), {**task.changes, **met})
     assert isinstance(scene.motion, PathMotion)
-    per_trial = {"seed": seed, "motion.feed_mm_s": round(pace * scene.motion.feed_mm_s, 3)}
+    per_trial = {
+        "seed": seed,
+        "motion.feed_mm_s": round(pace * scene.motion.feed_mm_s, 3),
+        "coupling.force_scale": min(map(_force_scale, (scene, *_all_specimens(key.task)))),
+    }
     by_hand = {"device": "touch", "hand": key.group, "coupling.delay_ms": LATENCY_MS, **variant.changes}
     scene = changed(scene, by_hand)
     felt = {name: {"perception": f"observer:{observer}"} if name in PERSONAL else {} for name in METHODS}
@@ -145,6 +149,21 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     for name, scene in scenes.items():
         scenes[name] = changed(scene, {**per_trial, "coupling.stiffness_N_m": min(common, stiffness[name])})
     return TrialScene(scenes, specimen, truth, pace)
+
+
+@lru_cache(maxsize=64)
+def _force_scale(scene: Scene) -> float:
+    """Newtons at the device for each newton at the tool that are chosen for a scene on the device of the study.
+
+    The least over a task's specimens is taken for all of them: a scale for each would play them all alike.
+    """
+    return changed(scene, {"device": "touch"}).force_scale
+
+
+def _all_specimens(task: str) -> list[Scene]:
+    """Scenes of a task with each of its specimens."""
+    usual = TASKS[task]
+    return [changed(load_scene(usual.scene), {**usual.changes, **each}) for each in usual.specimens]
 
 
 @lru_cache(maxsize=64)
