@@ -156,3 +156,14 @@ def test_what_cannot_be_judged_is_refused():
 
     with pytest.raises(InputError, match="predictor must forget a change within 512 ticks"):
         forecast_of(Sum(), lead_ticks=0, stiffness_N_m=400.0)
+
+
+def test_a_loop_with_another_copy_of_the_same_predictor_is_not_judged_again():
+    from tissue.haptics.loop.critical_stiffness import _critical_N_m
+
+    one, other = (loop_with("control")[0] for _ in range(2))
+    assert one.forecast is not other.forecast and one.forecast == other.forecast and hash(one) == hash(other)
+    _critical_N_m.cache_clear()
+    assert critical_stiffness_N_m(one) == critical_stiffness_N_m(other)
+    assert _critical_N_m.cache_info().misses == 1
+    assert one.forecast != replace(one.forecast, gain=0.5) and one.forecast != 1.0

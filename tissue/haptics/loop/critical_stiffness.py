@@ -75,7 +75,7 @@ def critical_stiffness_N_m(loop: WallLoop) -> float:
     return _critical_N_m(loop.with_stiffness(SOFTEST_N_M))
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def _critical_N_m(loop: WallLoop) -> float:
     """The same, found once for loops that differ in their stiffness alone: a choice is followed by its verdict."""
     low, high = 0.0, SOFTEST_N_M

@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,6 +47,17 @@ class Forecast:
     taps: Array
     gain: float = 1.0
     stiffness_N_m: float | None = None
+
+    def __eq__(self, other: object) -> bool:
+        """By value, so that a loop that was judged with another copy of the same predictor is not judged again."""
+        return isinstance(other, Forecast) and self._value == other._value
+
+    def __hash__(self) -> int:
+        return hash(self._value)
+
+    @cached_property
+    def _value(self) -> tuple[bytes, tuple[int, ...], float, float | None]:
+        return self.taps.tobytes(), self.taps.shape, self.gain, self.stiffness_N_m
 
     @property
     def memory(self) -> tuple[int, int]:
