@@ -8,7 +8,29 @@ from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.runner import run_study
 from tissue.evaluation.study.trial import Trial, run_trial
 
-__all__ = ["Plan", "StudyFolder", "Trial", "run", "trial"]
+__all__ = ["Plan", "StudyFolder", "Trial", "register", "run", "trial"]
+
+
+def register(plan: Plan, out: str | Path) -> StudyFolder:
+    """Register a plan before its first trial: ``plan.toml`` with measures, tests, exclusions, seeds and power.
+
+    `run` does so too where it was not done; a plan that was edited since is refused.
+
+    Parameters
+    ----------
+    plan
+        What is to be run.
+    out
+        Folder of the study.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another study, or a plan that was edited.
+    """
+    folder = StudyFolder(Path(out))
+    folder.begin(plan)
+    return folder
 
 
 def run(

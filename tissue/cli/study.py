@@ -1,13 +1,16 @@
-"""``tissue study run`` and ``tissue study report``."""
+"""``tissue study plan``, ``tissue study run`` and ``tissue study report``."""
 
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from tissue.cli.terminal import console, left_out, problems, progress, whole
 from tissue.system.outputs import output_locked
+
+if TYPE_CHECKING:
+    from tissue.evaluation.study.plan import Plan
 
 __all__ = ["study"]
 
@@ -33,6 +36,8 @@ def run(
     only: str | None = None,
 ) -> None:
     """Run a study, or go on with one: every trial is on disk as soon as it is done.
+
+    The plan (measures, tests, exclusions, seeds, power) is registered in plan.toml before the first trial.
 
     Parameters
     ----------
@@ -60,15 +65,11 @@ def run(
         Name of one trial, such as T1-novice-0007: run that alone and print what came of it.
     """
     from tissue.evaluation.study.folder import StudyFolder
-    from tissue.evaluation.study.plan import Plan, TrialKey
+    from tissue.evaluation.study.plan import TrialKey
     from tissue.evaluation.study.runner import run_study
     from tissue.evaluation.study.trial import run_trial
 
-    chosen = {"tasks": tasks, "methods": methods, "groups": groups}
-    split = {name: tuple(each for word in words for each in word.split(",") if each) for name, words in chosen.items()}
-    plan = Plan(
-        seed=seed, trials=trials, sensitivity=sensitivity, **{name: words for name, words in split.items() if words}
-    )
+    plan = _planned(trials, tasks, methods, groups, sensitivity, seed)
     if only is not None:
         left_out("with --only, which runs one trial here and keeps nothing", "remove it",
                  workers=workers, scheduler=scheduler, out=out, retry=retry)  # fmt: skip
@@ -103,6 +104,49 @@ def run(
         took = sorted(trial.took_s for trial in kept if trial.key.task == task and not trial.key.variant)
         console.print(f"{task}: {took[len(took) // 2]:.1f} s a trial of {len(plan.methods)} methods")
     console.print(f"next: tissue study report {out}")
+
+
+@study.command(name="plan")
+def register_plan(
+    *,
+    trials: Annotated[int, Parameter(converter=whole)] = 100,
+    tasks: Names = (),
+    methods: Names = (),
+    groups: Names = (),
+    sensitivity: bool = True,
+    seed: Annotated[int, Parameter(converter=whole)] = 0,
+    out: Path | None = None,
+) -> None:
+    """Register a study without running it: write plan.toml, which `tissue study run` of the same options keeps to.
+
+    Parameters
+    ----------
+    trials, tasks, methods, groups, sensitivity, seed
+        As in `tissue study run`.
+    out
+        Folder of the study; default studies/paper.
+    """
+    from tissue.evaluation.study.folder import StudyFolder
+
+    plan = _planned(trials, tasks, methods, groups, sensitivity, seed)
+    out = out or Path("studies/paper")
+    with output_locked(out, folder=True):
+        folder = StudyFolder(out)
+        folder.begin(plan)
+    newest = folder.registrations()[-1]
+    console.print(f"{out / str(newest['file'])}, SHA-256 {newest['sha256']}")
+    console.print(f"next: tissue study run with the same options, --out {out}")
+
+
+def _planned(trials: int, tasks: Names, methods: Names, groups: Names, sensitivity: bool, seed: int) -> "Plan":
+    """The plan of a command's options; names may be divided by commas."""
+    from tissue.evaluation.study.plan import Plan
+
+    chosen = {"tasks": tasks, "methods": methods, "groups": groups}
+    split = {name: tuple(each for word in words for each in word.split(",") if each) for name, words in chosen.items()}
+    return Plan(
+        seed=seed, trials=trials, sensitivity=sensitivity, **{name: words for name, words in split.items() if words}
+    )
 
 
 @study.command

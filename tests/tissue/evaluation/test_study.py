@@ -192,7 +192,7 @@ def test_folders_of_another_kind_are_refused(tmp_path, pool):
     held = json.loads((out / "study.json").read_text())
     for key, value in (("format", 99), ("tissue", "0.0.1")):
         (out / "study.json").write_text(json.dumps(held | {key: value}))
-        with pytest.raises(InputError, match=f"study must be of (format 1 or older|tissue .*), got {value}"):
+        with pytest.raises(InputError, match=f"study must be of (format 2 or older|tissue .*), got {value}"):
             run_study(SMALL, out)
     (out / "study.json").write_text("{")
     with pytest.raises(InputError, match="study must be a folder that `tissue study run` wrote"):

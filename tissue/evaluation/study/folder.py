@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pydantic import TypeAdapter
@@ -12,18 +12,44 @@ from meshes.base.file_version import package_version, require_version
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.registered import (
+    PLAN_FILE,
+    Registration,
+    code_sha256,
+    content_sha256,
+    register,
+    registered,
+    require_unchanged,
+)
 from tissue.evaluation.study.tasks import TASKS
 from tissue.evaluation.study.trial import Row, Trial
 from tissue.system.outputs import LOCK
 
-__all__ = ["StudyFolder"]
+__all__ = ["Stamp", "StudyFolder"]
 
-FORMAT = 1
+FORMAT = 2
 """Version of a study's folder."""
 PLAN = "study.json"
 
 
 READ_TRIAL = TypeAdapter(Trial)
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """What a trial's file states of its origin.
+
+    Attributes
+    ----------
+    plan_sha256, code_sha256
+        Hashes of the registered plan and of the code that it was run by, empty where it states none.
+    whole
+        Whether its content is as it was written; none is shown for a trial that states no hash of it.
+    """
+
+    plan_sha256: str
+    code_sha256: str
+    whole: bool
 
 
 class StudyFolder:
@@ -44,11 +70,16 @@ class StudyFolder:
     def begin(self, plan: Plan) -> list[str]:
         """Make the folder, or go on with one whose trials are all in the plan; sentences on what was found amiss.
 
+        The plan is registered: ``plan.toml`` is written before ``study.json``, which holds its hash. A wider plan is
+        registered anew beside the earlier one.
+
         Raises
         ------
         InputError
-            If it holds another study, one of another version, or other files.
+            If it holds another study, one of another version, a plan that was edited, or other files.
         """
+        there: list[Registration] = []
+        registers = True
         if (self.path / PLAN).is_file():
             held = self.plan()
             if not plan.holds(held):
@@ -61,10 +92,18 @@ class StudyFolder:
                     f"out must hold a part of the same study, got one with {other} in {self.path}: "
                     "choose another folder"
                 )
-        elif self.path.is_dir() and any(each.name != LOCK for each in self.path.iterdir()):
+            there = self.registrations()
+            require_unchanged(self.path, there)
+            registers = not there or plan != held
+        elif self.path.is_dir() and any(each.name not in (LOCK, PLAN_FILE) for each in self.path.iterdir()):
             raise InputError(f"out must be empty or hold this study, got other files in {self.path}: choose another")
-        (self.path / "trials").mkdir(parents=True, exist_ok=True)
-        _write(self.path / PLAN, {"format": FORMAT, "tissue": package_version()} | asdict(plan))
+        self.path.mkdir(parents=True, exist_ok=True)
+        if registers:
+            count = sum(1 for _ in (self.path / "trials").glob("*.json"))
+            there = register(self.path, plan, there, trials=count)
+            content = {"format": FORMAT, "tissue": package_version()} | asdict(plan) | {"registrations": there}
+            _write(self.path / PLAN, content)
+        (self.path / "trials").mkdir(exist_ok=True)
         broken = [key for key in plan.all_trials() if self.has(key) and self.read(key) is None]
         for key in broken:
             self._file(key).unlink()
@@ -83,6 +122,7 @@ class StudyFolder:
             held = json.loads(path.read_text("utf-8"))
             require_version("study", held, FORMAT, where=path, remedy="run it in a new folder")
             del held["format"]
+            held.pop("registrations", None)
             made = held.pop("tissue", None) or held.pop("version", "unknown")  # as the first files call it
             if made != package_version():
                 raise InputError(
@@ -99,6 +139,33 @@ class StudyFolder:
                 f"study must be a folder that `tissue study run` wrote, got {self.path}: choose another"
             ) from None
 
+    def registrations(self) -> list[Registration]:
+        """Plans that were registered, newest last; none for a study that an earlier version began.
+
+        Raises
+        ------
+        InputError
+            If the folder is no study, or what it states of them is nothing of the kind.
+        """
+        self.plan()
+        try:
+            return registered(json.loads((self.path / PLAN).read_text("utf-8")))
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
+            raise InputError(
+                f"registrations must be as `tissue study run` wrote them, got others in {self.path / PLAN}: put that "
+                "file back"
+            ) from None
+
+    def stamp(self, key: TrialKey) -> Stamp:
+        """What a trial's file states of its origin."""
+        try:
+            held = dict(json.loads(self._file(key).read_text("utf-8")))
+        except (OSError, ValueError, TypeError, RecursionError):
+            return Stamp("", "", False)
+        stated = held.pop("sha256", None)
+        plan_hash, code_hash = (str(held.get(name, "")) for name in ("plan_sha256", "code_sha256"))
+        return Stamp(plan_hash, code_hash, stated is None or stated == content_sha256(held))
+
     def has(self, key: TrialKey) -> bool:
         """Whether a trial is there."""
         return self._file(key).is_file()
@@ -113,8 +180,15 @@ class StudyFolder:
 
     def write(self, trial: Trial) -> None:
         """Keep a trial."""
-        content = {"seed": trial.seed, "took_s": round(trial.took_s, 3), "rows": trial.rows}
-        _write(self._file(trial.key), content)
+        there = self.registrations()
+        content = {
+            "seed": trial.seed,
+            "took_s": round(trial.took_s, 3),
+            "plan_sha256": there[-1]["sha256"] if there else "",
+            "code_sha256": code_sha256(),
+            "rows": trial.rows,
+        }
+        _write(self._file(trial.key), content | {"sha256": content_sha256(content)})
 
     def forget_failures(self) -> None:
         """Take away the trials in which a method failed."""

@@ -12,6 +12,7 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.cases import case_sections
+from tissue.evaluation.study.deviations import registration_section
 from tissue.evaluation.study.discrimination import discrimination_section
 from tissue.evaluation.study.fidelity import force_section, latency_section, task_section
 from tissue.evaluation.study.folder import StudyFolder
@@ -47,7 +48,7 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
         body = "\n".join(_as_html(section, section.write_csv(out)) for section in sections)
         with whole_file(page) as temporary:
             temporary.write_text(html_page("Study", f'<p class="soft">{links}</p>\n{body}', style=WIDE), "utf-8")
-    return page, [sentence for section in sections[:2] for sentence in section.sentences]
+    return page, [sentence for section in sections[:3] for sentence in section.sentences]
 
 
 def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Section]:
@@ -69,6 +70,8 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
     report("case studies", 0.9)
     sections += case_sections(folder, plan.seed)
     sections += [each for each in (sensitivity_section(folder), reference_section(folder)) if each is not None]
+    tests = [each for each in sections if each.name == "tests"]
+    sections.insert(1, registration_section(folder, tests))
     return [*sections, speed_section(folder), parameters_section(plan)]
 
 
