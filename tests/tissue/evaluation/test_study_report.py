@@ -82,10 +82,14 @@ def study(tmp_path_factory):
 def test_the_report_finds_what_was_planted(study):
     page, message = write_report(study.path)
     text = page.read_text("utf-8")
-    assert text.count("<section") >= 14 and text.count("data:image/png;base64,") == 5
+    assert text.count("<section") >= 14 and text.count("data:image/png;base64,") == 8
     assert "http" not in text.replace("http-equiv", "") and "<script" not in text
     assert any("1 failed, koopman: InputError: it was too late (T1-expert-0003)" in each for each in message)
-    assert any(each.startswith("Prediction leaves of the force error: T1 0.4") for each in message)
+    assert (
+        message[0].startswith("The force error at the motor, mean over T1, T2, is penalty") and "koopman" in message[3]
+    )
+    assert "Prediction leaves of the force error: T1 0.4" in text
+    assert text.index('<section id="found"') < text.index('<section id="overview"')
     assert "T1: energy has the force_error of penalty in every trial and is left out" in text
     tests = {(row["task"], row["question"]): row for row in rows_of(page.parent / "tests.csv")}
     assert tests["T1", "force_error: method"]["shows"] == "effect"

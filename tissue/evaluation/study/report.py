@@ -13,9 +13,10 @@ from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.cases import case_sections
 from tissue.evaluation.study.deviations import registration_section
-from tissue.evaluation.study.discrimination import discrimination_section
+from tissue.evaluation.study.discrimination import case_table, discrimination_section
 from tissue.evaluation.study.fidelity import force_section, latency_section, task_section
 from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.found import found_section
 from tissue.evaluation.study.paper import CHOSEN_AFTER, SOURCE
 from tissue.evaluation.study.parameters import parameters_section
 from tissue.evaluation.study.plan import LATENCY_MS, USERS
@@ -56,6 +57,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
     plan = folder.plan()
     folder.write_tables()
     sections = [_overview(folder)]
+    whole: TrialTable | None = None
     if plan.compared:
         table = folder.table(*plan.compared)
         whole = table.complete()
@@ -72,7 +74,8 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
     sections += [each for each in (sensitivity_section(folder), reference_section(folder)) if each is not None]
     tests = [each for each in sections if each.name == "tests"]
     sections.insert(1, registration_section(folder, tests))
-    return [*sections, speed_section(folder), parameters_section(plan)]
+    found = found_section(whole, case_table(folder, "needle"), sections)
+    return [found, *sections, speed_section(folder), parameters_section(plan)]
 
 
 def _tested(table: TrialTable, rng: np.random.Generator) -> list[Section]:
@@ -142,7 +145,8 @@ def _entry(item: tuple[str, object]) -> str:
 def _as_html(section: Section, file: str) -> str:
     """One section, with the file that holds its table."""
     text = "".join(f'<p class="verdict">{escape(each)}</p>\n' for each in section.sentences)
-    picture = html_picture(section.title, section.picture) if section.picture else ""
+    shown = [(section.title, section.picture), *section.pictures]
+    picture = "".join(html_picture(what, each) for what, each in shown if each)
     table = ""
     if section.rows:
         head = "".join(f"<th>{escape(each)}</th>" for each in section.header)

@@ -58,6 +58,8 @@ class Section:
         The table.
     picture
         PNG, or nothing.
+    pictures
+        More of them, each with its description.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Section:
     header: tuple[str, ...] = ()
     rows: tuple[tuple[str, ...], ...] = ()
     picture: bytes = b""
+    pictures: tuple[tuple[str, bytes], ...] = ()
 
     def write_csv(self, folder: Path) -> str:
         """Write the table; the name of its file, empty where there is no table."""

@@ -1,0 +1,167 @@
+"""The first section of a report: what was found, in five sentences and three pictures made of the data."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tissue.evaluation.statistics.trials import TrialTable
+from tissue.evaluation.study.found_pictures import force_dots, index_dots, overshoot_dots, sensitivity_dots
+from tissue.evaluation.study.paper import CASES, LATENCY
+from tissue.evaluation.study.section import Section, methods_of, tasks_of
+
+__all__ = ["found_section"]
+
+PLAIN, BASELINE = "koopman", "penalty"
+"""Method of plain scaling, and the one without prediction."""
+MOST = 6
+"""Deviations from the paper that the last sentence names before it counts the rest."""
+
+
+def found_section(table: TrialTable | None, needle: TrialTable | None, sections: Sequence[Section]) -> Section:
+    """Five sentences and up to three pictures; what the data do not hold is named as missing.
+
+    Parameters
+    ----------
+    table
+        Trials of the compared tasks that did not fail, or None.
+    needle
+        Trials of the needle that did not fail, or None.
+    sections
+        The other sections; those on discrimination, index and the registered plan are read, if they are there.
+    """
+    by_name = {each.name: each for each in sections}
+    sensitivity = _sensitivities(by_name.get("discrimination"))
+    sentences = (
+        _force(table),
+        _latency(table),
+        _discrimination(sensitivity),
+        _overshoot(needle),
+        _against(sections, by_name.get("registration")),
+    )
+    pictures: list[tuple[str, bytes]] = []
+    if table is not None and "force_error" in table.metrics:
+        pictures.append(("force error at the motor, with its least error", force_dots(table)))
+    if sensitivity:
+        pictures.append(("discrimination at the skin", sensitivity_dots(sensitivity)))
+    if needle is not None and "excess_mm" in needle.metrics:
+        pictures.append(("travel of the needle after its puncture", overshoot_dots(needle)))
+    elif means := _index_means(by_name.get("index")):
+        pictures.append(("composite index", index_dots(means)))
+    return Section("found", "What was found", sentences, pictures=tuple(pictures))
+
+
+def _means(table: TrialTable, metric: str) -> dict[str, float]:
+    """Mean over tasks of the mean over trials, by method, of methods that every task has."""
+    found = {}
+    for method in methods_of(table):
+        parts = [table.where(task=task, method=method).values(metric) for task in tasks_of(table)]
+        if all(map(len, parts)):
+            found[method] = float(np.mean([part.mean() for part in parts]))
+    return found
+
+
+def _force(table: TrialTable | None) -> str:
+    """Error of force at the motor by method beside its least error."""
+    if table is None or "force_error" not in table.metrics:
+        return "No force error was measured, as the study has no trial of a compared task."
+    errors = _means(table, "force_error")
+    least = _means(table, "least_error") if "least_error" in table.metrics else {}
+    text = ", ".join(
+        f"{method} {100.0 * error:.1f} %" + (f" ({100.0 * least[method]:.1f} %)" if method in least else "")
+        for method, error in errors.items()
+    )
+    remark = "in brackets the least that the encoder allows" if least else "the least error was not measured"
+    return f"The force error at the motor, mean over {', '.join(tasks_of(table))}, is {text}, {remark}."
+
+
+def _latency(table: TrialTable | None) -> str:
+    """Residual latency by method."""
+    if table is None or "latency_ms" not in table.metrics:
+        return "No residual latency was measured, as the study has no trial of a compared task."
+    text = ", ".join(f"{method} {value:+.1f} ms" for method, value in _means(table, "latency_ms").items())
+    return (
+        f"The residual latency at the motor is {text}, where below zero the force comes early and the paper prints "
+        f"{LATENCY} ms."
+    )
+
+
+def _discrimination(sensitivity: Mapping[tuple[str, str], Sequence[float]]) -> str:
+    """Sensitivity d' by method against plain scaling."""
+    if not sensitivity:
+        return "No discrimination was measured, as people have too few trials on two specimens each."
+    methods = list(dict.fromkeys(method for _, method in sensitivity))
+    pairs = list(dict.fromkeys(pair for pair, _ in sensitivity))
+    whole = {
+        method: float(np.mean([np.mean(sensitivity[pair, method]) for pair in pairs]))
+        for method in methods
+        if all((pair, method) in sensitivity for pair in pairs)
+    }
+    plain = whole.get(PLAIN, 0.0)
+    text = ", ".join(
+        f"{method} {value:.2f}" + (f" ({100.0 * (value / plain - 1.0):+.0f} %)" if plain and method != PLAIN else "")
+        for method, value in whole.items()
+    )
+    against = f", in brackets against {PLAIN}, where the paper prints +18 to +22 % for scaling" if plain else ""
+    return f"Discrimination from the force at the skin, as d′ over {len(pairs)} pairs, is {text}{against}."
+
+
+def _overshoot(needle: TrialTable | None) -> str:
+    """Travel of the needle after its puncture by method."""
+    if needle is None or "excess_mm" not in needle.metrics:
+        return "No overshoot after a puncture was measured, as the study has no trial of the needle."
+    means = {method: float(needle.where(method=method).values("excess_mm").mean()) for method in methods_of(needle)}
+    text = ", ".join(f"{method} {value:.2f} mm" for method, value in means.items())
+    paper = f"{CASES['overshoot_penalty_mm']} mm without prediction and {CASES['overshoot_koopman_mm']} mm with it"
+    change = ""
+    if means.get(BASELINE, 0.0) > 0.0 and PLAIN in means:
+        change = f" ({100.0 * (means[PLAIN] / means[BASELINE] - 1.0):+.0f} % with prediction, the paper -31 %)"
+    return f"After its puncture the needle goes on by {text}{change}, where the paper prints {paper}."
+
+
+def _against(sections: Sequence[Section], registration: Section | None) -> str:
+    """What does not agree with the paper, and how many differences from the registered plan there are."""
+    compared, apart = 0, []
+    for section in sections:
+        for column in (at for at, name in enumerate(section.header) if name.endswith("against paper")):
+            for row in section.rows:
+                compared += bool(row[column])
+                if row[column] and row[column] != "agrees":
+                    what = section.header[column].replace("against paper", "").strip()
+                    apart.append(" ".join([section.title.lower(), what, *row[:2], row[column]]).replace("  ", " "))
+    if not compared:
+        paper = "Nothing could be held against the paper's figures"
+    elif apart:
+        rest = f" and {len(apart) - MOST} more" if len(apart) > MOST else ""
+        paper = (
+            f"Of {compared} figures held against the paper {len(apart)} do not agree: {', '.join(apart[:MOST])}{rest}"
+        )
+    else:
+        paper = f"All {compared} figures held against the paper agree with it"
+    if registration is None:
+        return f"{paper}."
+    count = len(registration.rows)
+    plan = (
+        f"{count} differences from the registered plan are listed below" if count else "nothing differs from the plan"
+    )
+    if not count and registration.sentences[0].startswith("No plan"):
+        plan = "no plan was registered before the trials"
+    return f"{paper}; {plan}."
+
+
+def _sensitivities(section: Section | None) -> dict[tuple[str, str], list[float]]:
+    """Values of d' by pair and method over groups, from the rows of the section on discrimination."""
+    found: dict[tuple[str, str], list[float]] = {}
+    names = ("what", "method", "d′")
+    if section is None or not set(names) <= set(section.header):
+        return found
+    what, method, value = map(section.header.index, names)
+    for row in section.rows:
+        found.setdefault((row[what], row[method]), []).append(float(row[value]))
+    return found
+
+
+def _index_means(section: Section | None) -> dict[str, tuple[float, float, float]]:
+    """Mean, low and high of the composite index by method."""
+    if section is None or not section.rows:
+        return {}
+    return {row[1]: (float(row[2]), float(row[3]), float(row[4])) for row in section.rows if row[0] == "mean"}
