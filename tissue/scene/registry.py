@@ -154,8 +154,12 @@ def _numbers(table: str, *names: str) -> dict[str, float]:
     return {key: entry.value for name in names for key, entry in constants(table, name).items()}
 
 
+ADAPTERS = {"haply": "tissue.hardware.haply:HaplyAdapter"}
+"""What opens a real device, by its name; the others of the data file are simulated."""
 DEVICES: Registry[DeviceEntry] = Registry(
-    "device", {name: DeviceEntry(_numbers("devices", name)) for name in listed("devices")}, group="tissue.devices"
+    "device",
+    {name: DeviceEntry(_numbers("devices", name), adapter=ADAPTERS.get(name)) for name in listed("devices")},
+    group="tissue.devices",
 )
 """Haptic devices."""
 HANDS: Registry[Mapping[str, float]] = Registry(
