@@ -25,8 +25,8 @@ MOST_FAILURES = 100
 """Failed calls one after the other after which the device is lost."""
 FIRST = -1
 MISSING = (
-    "must be installed for a device of Force Dimension, got none: pip install 'tissue-sim[forcedimension]' with Python 3.11 "
-    "or 3.12, and the SDK of forcedimension.com"
+    "must be installed for a device of Force Dimension, got none: pip install 'tissue-sim[forcedimension]' with Python "
+    "3.11 or 3.12, and the SDK of forcedimension.com"
 )
 
 

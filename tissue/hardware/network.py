@@ -139,24 +139,15 @@ class NetworkAdapter:
                 while adapter.session.peer is None and perf_counter() < until:
                     adapter.poll()
                     sleep(0.01)
-                if adapter.session.peer is not None:
-                    detail = f"listens at {adapter.address}"
-                    return [
-                        FoundDevice(
-                            name="network", where=str(adapter.session.peer), detail=detail, limits=adapter.limits
-                        )
-                    ]
-                counts = adapter.session.counts
-                wrong = ", ".join(f"{count} dropped as {what}" for what, count in counts.items())
-                return [
-                    FoundDevice(
-                        name="network",
-                        problem=f"a device must send packets to {adapter.address}, got {wrong or 'none'} in {LOOK_S:g} s: "
-                        "start its program, see the page on network devices of the guide",
-                    )
-                ]
+                peer, dropped, place = adapter.session.peer, adapter.happened(), adapter.address
         except ValueError as error:  # an address, a port that is taken, or what is not installed
             return [FoundDevice(name="network", problem=str(error))]
+        if peer is not None:
+            detail, limits = f"listens at {place}", device_parameters("network")
+            return [FoundDevice(name="network", where=str(peer), detail=detail, limits=limits)]
+        got = "".join(dropped) or "none"
+        problem = f"a device must send packets to {place}, got {got} in {LOOK_S:g} s: start its program"
+        return [FoundDevice(name="network", problem=problem)]
 
     @property
     def address(self) -> str:
@@ -172,7 +163,7 @@ class NetworkAdapter:
         """What was dropped or lost on the line so far, in a sentence, or nothing."""
         good = ("poses", "heartbeats", "hellos")
         found = [f"{count} as {what}" for what, count in self.session.counts.items() if count and what not in good]
-        return [f"packets of the network device were not used: {', '.join(found)}"] if found else []
+        return [f"packets that were not used: {', '.join(found)}"] if found else []
 
     def __enter__(self) -> Self:
         if self._scheme == "ws":

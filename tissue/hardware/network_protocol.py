@@ -10,7 +10,8 @@ from tissue.hardware.adapter import HardwareSample
 from tissue.motion.quaternion import Triple
 
 __all__ = [
-    "MAGIC", "NO_WRENCH", "VERSION", "WHOLE", "Kind", "Packet", "PacketError", "Wrench", "is_newer", "packed", "unpacked",
+    "MAGIC", "NO_WRENCH", "VERSION", "WHOLE", "Kind", "Packet", "PacketError", "Wrench", "is_newer", "packed",
+    "unpacked",
 ]  # fmt: skip
 
 MAGIC = b"TDEV"

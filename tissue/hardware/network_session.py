@@ -1,4 +1,4 @@
-"""What passes between this program and one device over a network: who it is, what is new, what is dropped and counted."""
+"""What passes between this program and one device on a network: who it is, what is new, what is dropped and counted."""
 
 import threading
 from collections import Counter
@@ -45,8 +45,8 @@ class NetworkSession:
         Address of the device that was taken; None where there is none.
     counts
         Packets by what became of them: ``poses``, ``heartbeats``, ``hellos``, ``lost`` on the line, and those that
-        were dropped as ``foreign``, ``version``, ``length``, ``checksum``, ``kind``, ``number``, ``late``, ``repeated``,
-        ``stranger`` or ``refused``; ``silences`` counts devices that were given up.
+        were dropped as ``foreign``, ``version``, ``length``, ``checksum``, ``kind``, ``number``, ``late``,
+        ``repeated``, ``stranger`` or ``refused``; ``silences`` counts devices that were given up.
     round_trip_s
         Time from the newest wrench that the device has seen to the first packet that shows it [s]; nan before.
     """

@@ -18,6 +18,8 @@ __all__ = ["WebTransport"]
 OPEN_S = 5.0
 """How long the thread may take to listen, and to end [s]."""
 LONGEST_MESSAGE = 4096
+CLOSE_S = 0.5
+"""How long a device may take to end its connection [s]."""
 MOST_WAITING = 2
 """Packets that wait for the thread; a wrench more takes the place of the oldest. Zero and goodbye both wait."""
 
@@ -45,8 +47,8 @@ class WebTransport:
             import websockets.asyncio.server  # noqa: F401
         except ImportError:
             raise InputError(
-                "websockets must be installed for a device at ws://, got none: pip install 'tissue-sim[network]', or use "
-                "udp://"
+                "websockets must be installed for a device at ws://, got none: pip install 'tissue-sim[network]', "
+                "or use udp://"
             ) from None
         self._session, self._waiting = session, deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)
         self._connections: dict[Hashable, ServerConnection] = {}
@@ -92,8 +94,10 @@ class WebTransport:
     async def _serve(self, host: str, port: int) -> None:
         from websockets.asyncio.server import serve
 
-        options = {"origins": [None], "max_size": LONGEST_MESSAGE, "compression": None, "ping_interval": None}
-        async with serve(self._talk, host, port, close_timeout=0.5, **options) as server:
+        async with serve(
+            self._talk, host, port,
+            origins=[None], max_size=LONGEST_MESSAGE, compression=None, ping_interval=None, close_timeout=CLOSE_S,
+        ) as server:  # fmt: skip
             self._listening(server, host)
             sending = asyncio.ensure_future(self._send_news())
             await self._stop.wait()

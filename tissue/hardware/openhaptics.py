@@ -1,10 +1,10 @@
 """3D Systems' Touch devices by pyOpenHaptics, which loads the vendor's OpenHaptics at run time.
 
-Read in pyOpenHaptics 1.0.1: a transform is in mm with the axes of the handle in its first three rows and the position in
-the fourth; x points right, y up, z to the hand. The library calls a function in a thread of its own, a thousand times
-a second, and only inside it may the device be read or driven. That thread and the loop's share two attributes, each
-replaced whole. The class HapticDevice of the package does not report a device that is missing, so its functions are
-called one by one.
+Read in pyOpenHaptics 1.0.1: a transform is in mm, with the axes of the handle in its first three rows and the
+position in the fourth; x points right, y up, z to the hand. The library calls a function in a thread of its own, a
+thousand times a second, and only inside it may the device be read or driven. That thread and the loop's share two
+attributes, each replaced whole. The class HapticDevice of the package does not report a device that is missing, so its
+functions are called one by one.
 """
 
 from collections import deque
@@ -121,7 +121,7 @@ class OpenHapticsAdapter:
         return sample
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Let the vendor's thread play a force until the next one, or for `HELD_S`; no torque, for which it has no motors."""
+        """Let the vendor's thread play a force until the next one, or for `HELD_S`; no motor plays a torque."""
         self._force = (force_N.tolist(), perf_counter())
 
     def close(self) -> None:

@@ -4,11 +4,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, names_of_caller
 from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.recorded import RecordedDevice
 from tissue.hardware.adapter import FoundDevice, HardwareSample
-from tissue.models.tissue_model import TICK_S, Response, ToolMotion
+from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import read_replay
 
 if TYPE_CHECKING:
@@ -86,13 +89,12 @@ def _samples(path: Path) -> list[HardwareSample]:
 
     with names_of_caller({"motion.file": "hardware.address"}):
         motion = read_replay(path, step_s=TICK_S)
-    now, turns = ToolMotion(), Rotation.from_matrix(motion.rotations()).as_quat()
-    motion.begin(now)
-    found = []
-    for tick, quaternion in enumerate(turns.tolist()):
-        motion.advance(tick * TICK_S, TICK_S, Response(), now)
-        velocity, spin = (now.speed_m_s * part for part in now.heading)
-        found.append(
-            HardwareSample(tuple(now.tip_m.tolist()), tuple(velocity.tolist()), tuple(quaternion), tuple(spin.tolist()))
-        )
-    return found
+    tips, turns = motion.sweep_m(), Rotation.from_matrix(motion.rotations()).as_quat()
+    times = TICK_S * np.arange(len(tips), dtype=np.float64)
+    played = RecordedDevice(times, tips, turns, rate_Hz=1.0 / TICK_S)
+    samples = [played.read(time_s) for time_s in times.tolist()]
+    return [
+        HardwareSample(each.position_m, each.velocity_m_s, each.quaternion, each.spin_rad_s)
+        for each in samples
+        if each is not None
+    ]

@@ -1,4 +1,4 @@
-"""What a device in hand does: how often it gives a sample, how evenly, how long it takes, and a push that can be felt."""
+"""What a device in hand does: how often it gives a sample, how evenly, its latency, and a push that can be felt."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -116,14 +116,13 @@ def self_test(
             trips.append(getattr(adapter, "round_trip_s", nan))
         pause(PAUSE_S)
     if len(times) < FEWEST:
-        raise InputError(
-            f"a device must give samples for its test, got {len(times)} in {seconds:g} s: check that it is on, and move it"
-        )
-    gaps, trips = np.diff(times), [each for each in trips if isfinite(each)]
+        raise InputError(f"a device must give samples for its test, got {len(times)}: check that it is on, and move it")
+    gaps, shown = np.diff(times), [each for each in trips if isfinite(each)]
     (interval, interval_99), (call, call_99) = _middle_and_99(gaps), _middle_and_99(calls)
-    trip, trip_99 = _middle_and_99(trips) if len(trips) >= FEWEST else (nan, nan)
+    trip, trip_99 = _middle_and_99(shown) if len(shown) >= FEWEST else (nan, nan)
     return SelfTest(
-        seconds=seconds, samples=len(times), interval_s=interval, interval_99_s=interval_99, longest_s=float(gaps.max()),
+        seconds=seconds, samples=len(times),
+        interval_s=interval, interval_99_s=interval_99, longest_s=float(gaps.max()),
         call_s=call, call_99_s=call_99, round_trip_s=trip, round_trip_99_s=trip_99,
     )  # fmt: skip
 
