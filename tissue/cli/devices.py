@@ -123,7 +123,7 @@ def _lines(measured: "SelfTest") -> list[str]:
 
     return [
         f"samples           {measured.samples} in {measured.seconds:g} s, {measured.rate_Hz:.0f} Hz by the median",
-        f"interval          {ms(measured.interval_s, measured.interval_99_s)}, at most {1e3 * measured.longest_s:.3f} ms",
+        f"interval          {ms(measured.interval_s, measured.interval_99_s)}, max {1e3 * measured.longest_s:.3f} ms",
         f"calls             {ms(measured.call_s, measured.call_99_s)}",
         f"round trip        {ms(measured.round_trip_s, measured.round_trip_99_s)}",
     ]

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from meshes.voxels.volume import VoxelVolume
     from tissue.builders.parts import TissueBuilder
     from tissue.cutters.profile import Profile
-    from tissue.hardware.adapter import HardwareAdapter
     from tissue.haptics.device.device import Device
+    from tissue.hardware.adapter import HardwareAdapter
     from tissue.models.organ.probe import ProbeShape
     from tissue.motion.motion import Motion
     from tissue.motion.quaternion import Triple

@@ -1,4 +1,4 @@
-"""What a scene states of the real device in a person's hand: where it is, how it is turned, and what protects the hand."""
+"""What a scene states of a real device: where it is, how its axes lie in the scene, and what protects the hand."""
 
 from typing import Annotated
 
