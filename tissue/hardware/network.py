@@ -181,16 +181,17 @@ class NetworkAdapter:
 
     def poll(self) -> HardwareSample | None:
         """The newest pose; None where none came since the last call."""
-        if self._transport is None:
+        if (transport := self._transport) is None:
             return None
-        self._transport.read()
+        transport.read()
         return self.session.take()
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
         """Send a force and a torque; the device plays them until the next ones, or for 50 ms."""
         (fx, fy, fz), (tx, ty, tz) = force_N.tolist(), torque_Nm.tolist()
-        if self._transport is not None and (sending := self.session.wrench(((fx, fy, fz), (tx, ty, tz)))) is not None:
-            self._transport.send(*sending)
+        transport, sending = self._transport, self.session.wrench(((fx, fy, fz), (tx, ty, tz)))
+        if transport is not None and sending is not None:  # after a close the packet's number would be an old one
+            transport.send(*sending)
 
     def close(self) -> None:
         """Send zero and goodbye, and stop listening."""

@@ -113,7 +113,8 @@ class NetworkSession:
         if not is_newer(packet.sequence, self._seen):
             self.counts["repeated" if packet.sequence == self._seen else "late"] += 1
             return None
-        self.counts["lost"] += (packet.sequence - self._seen) % WHOLE - 1
+        if lost := (packet.sequence - self._seen) % WHOLE - 1:
+            self.counts["lost"] += lost
         self._seen, self._heard = packet.sequence, self._clock()
         self._measure(packet.echo)
         if packet.kind is Kind.POSE:

@@ -94,15 +94,24 @@ class WebTransport:
     async def _serve(self, host: str, port: int) -> None:
         from websockets.asyncio.server import serve
 
-        async with serve(
+        server = await serve(
             self._talk, host, port,
             origins=[None], max_size=LONGEST_MESSAGE, compression=None, ping_interval=None, close_timeout=CLOSE_S,
-        ) as server:  # fmt: skip
-            self._listening(server, host)
-            sending = asyncio.ensure_future(self._send_news())
-            await self._stop.wait()
-            sending.cancel()
-            await self._send_waiting()
+        )  # fmt: skip
+        self._listening(server, host)
+        sending = asyncio.ensure_future(self._send_news())
+        await self._stop.wait()
+        sending.cancel()
+        with suppress(TimeoutError):  # of a device that no longer reads
+            async with asyncio.timeout(CLOSE_S):
+                await self._send_waiting()
+        server.close()
+        talks = {sending, *asyncio.all_tasks()} - {asyncio.current_task()}
+        _, left = await asyncio.wait(talks, timeout=2.0 * CLOSE_S)
+        for connection in list(self._connections.values()):
+            connection.transport.abort()
+        if left:
+            await asyncio.wait(left, timeout=CLOSE_S)
 
     def _listening(self, server: "Server", host: str) -> None:
         self.address = f"ws://{host}:{next(iter(server.sockets)).getsockname()[1]}"

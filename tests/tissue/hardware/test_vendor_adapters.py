@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from vendor_doubles import FAILED, TIMEGUARD, ForceDimension, OpenHaptics, without
 
 from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceError
 from tissue.hardware import openhaptics
 from tissue.hardware.forcedimension import MOST_FAILURES, ForceDimensionAdapter, SigmaAdapter
 from tissue.hardware.openhaptics import HELD_S, OpenHapticsAdapter
-from tissue.haptics.device.device import DeviceError
 from tissue.motion.quaternion import of_matrix
 from tissue.scene.hardware import Hardware
 
@@ -236,7 +236,11 @@ def test_found_touch(monkeypatch):
 @pytest.mark.parametrize(
     ("adapter", "package", "sentence"),
     [
-        (ForceDimensionAdapter, "forcedimension_core", r"forcedimension-core must be installed.*tissue-sim\[forcedimension\]"),
+        (
+            ForceDimensionAdapter,
+            "forcedimension_core",
+            r"forcedimension-core must be installed.*tissue-sim\[forcedimension\]",
+        ),
         (OpenHapticsAdapter, "pyOpenHaptics", r"pyOpenHaptics must be installed.*tissue-sim\[openhaptics\].*3dsystems"),
     ],
 )
