@@ -95,14 +95,14 @@ def test_what_is_not_new_is_no_sample_and_no_velocity_is_rest(monkeypatch):
 @pytest.mark.parametrize("call", ["getPositionAndOrientationFrame", "setForceAndTorque"])
 def test_a_device_that_answers_no_more_is_lost_and_left_without_force(monkeypatch, call):
     device = ForceDimension().install(monkeypatch)
-    with pytest.raises(DeviceError, match="the device must answer, got the device is in use: check"):
-        with ForceDimensionAdapter() as adapter:
-            for count in range(3 * MOST_FAILURES):
-                device.answers[call] = 0 if count < MOST_FAILURES and count % 2 else FAILED
-                if call.startswith("get"):
-                    adapter.poll()
-                else:
-                    adapter.push(FORCE, TORQUE)
+    lost = pytest.raises(DeviceError, match="the device must answer, got the device is in use: check")
+    with lost, ForceDimensionAdapter() as adapter:
+        for count in range(3 * MOST_FAILURES):
+            device.answers[call] = 0 if count < MOST_FAILURES and count % 2 else FAILED
+            if call.startswith("get"):
+                adapter.poll()
+            else:
+                adapter.push(FORCE, TORQUE)
     assert count >= MOST_FAILURES  # single failures in between are survived
     assert device.calls[-2:] == ["disableForce", "close"]
 
