@@ -122,7 +122,7 @@ def _lines(measured: "SelfTest") -> list[str]:
         return f"{1e3 * middle:.3f} ms, 99 % {1e3 * most:.3f} ms" if isfinite(middle) else "not shown by this device"
 
     return [
-        f"samples           {measured.samples} in {measured.seconds:g} s, {measured.rate_Hz:.0f} Hz by the median",
+        f"samples           {measured.samples} in {measured.seconds:g} s, {measured.rate_Hz:.0f} Hz",
         f"interval          {ms(measured.interval_s, measured.interval_99_s)}, max {1e3 * measured.longest_s:.3f} ms",
         f"calls             {ms(measured.call_s, measured.call_99_s)}",
         f"round trip        {ms(measured.round_trip_s, measured.round_trip_99_s)}",

@@ -9,6 +9,8 @@ from tissue.models.tissue_model import TICK_S
 
 __all__ = ["write_measured"]
 
+EVERY_TICK = 0.95
+"""Share of the ticks with a new sample from which on the device counts as one of our rate."""
 SLOWEST_HZ, LONGEST_S = 10.0, 0.2
 """What `tissue.haptics.device.device.DeviceParameters` takes at least and at most."""
 
@@ -16,11 +18,12 @@ SLOWEST_HZ, LONGEST_S = 10.0, 0.2
 def write_measured(path: Path, name: str, test: SelfTest) -> None:
     """Write rate and latency of a device as constants of it, with their ranges.
 
-    The rate is the measured one, at most that of our ticks; it counts as what 99 % of the intervals keep where that is
-    the low end of its range. The latency is the round trip, or what the calls take where the device shows none.
+    The rate is the mean one, and that of our ticks where nearly every tick has a sample; the low end of its range is what 99 % of the intervals keep. The
+    latency is the round trip, or what the calls take where the device shows none.
     """
     most = 1.0 / TICK_S
-    rate, low = (min(max(1.0 / each, SLOWEST_HZ), most) for each in (test.interval_s, test.interval_99_s))
+    rate, low = (min(max(each, SLOWEST_HZ), most) for each in (test.rate_Hz, 1.0 / test.interval_99_s))
+    rate = most if rate >= EVERY_TICK * most else rate
     delay, high = min(test.delay_s, LONGEST_S), min(max(test.delay_99_s, test.delay_s), LONGEST_S)
     by = f"measured by tissue devices --test {name} for {test.seconds:g} s on {date.today().isoformat()}"
     entries = (

@@ -32,8 +32,8 @@ class SelfTest:
     ----------
     seconds
         How long it was measured [s].
-    samples
-        How many new samples came.
+    samples, rate_Hz
+        How many new samples came, and how many a second [Hz].
     interval_s, interval_99_s, longest_s
         Time between two samples [s]: median, 99 %, longest.
     call_s, call_99_s
@@ -44,6 +44,7 @@ class SelfTest:
 
     seconds: float
     samples: int
+    rate_Hz: float
     interval_s: float
     interval_99_s: float
     longest_s: float
@@ -51,11 +52,6 @@ class SelfTest:
     call_99_s: float
     round_trip_s: float = nan
     round_trip_99_s: float = nan
-
-    @property
-    def rate_Hz(self) -> float:
-        """Samples a second, by the median of the time between two."""
-        return 1.0 / self.interval_s
 
     @property
     def delay_s(self) -> float:
@@ -121,7 +117,7 @@ def self_test(
     (interval, interval_99), (call, call_99) = _middle_and_99(gaps), _middle_and_99(calls)
     trip, trip_99 = _middle_and_99(shown) if len(shown) >= FEWEST else (nan, nan)
     return SelfTest(
-        seconds=seconds, samples=len(times),
+        seconds=seconds, samples=len(times), rate_Hz=len(gaps) / (times[-1] - times[0]),
         interval_s=interval, interval_99_s=interval_99, longest_s=float(gaps.max()),
         call_s=call, call_99_s=call_99, round_trip_s=trip, round_trip_99_s=trip_99,
     )  # fmt: skip
