@@ -1,9 +1,9 @@
 """The exchange of frames with Haply's Inverse Service in a thread of its own: newest force out, newest state in.
 
 The service answers every frame that it is sent with one state, and plays a force for as long as it is sent again. So at
-most one frame is on its way: an answer belongs to the force before it, and a sample is no older than the exchange. An
-answer that is late ends that, because no frame states what it answers: zero is sent, and nothing more until as many
-answers have come as were asked for, or are given up.
+most one frame waits for its answer, which belongs to the force before it, and a sample is no older than its exchange. A
+late answer ends that, because no frame states what it answers: zero is sent, and nothing more until as many answers have
+come as were asked for, or are given up.
 """
 
 import threading
