@@ -2,8 +2,8 @@
 
 The service answers every frame that it is sent with one state, and plays a force for as long as it is sent again. So at
 most one frame waits for its answer, which belongs to the force before it, and a sample is no older than its exchange. A
-late answer ends that, because no frame states what it answers: zero is sent, and nothing more until as many answers have
-come as were asked for, or are given up.
+late answer ends that, because no frame states what it answers: zero is sent, and nothing more until as many answers
+have come as were asked for, or are given up.
 """
 
 import threading
@@ -16,6 +16,7 @@ from tissue.haptics.device.device import DeviceError
 from tissue.hardware.adapter import HardwareSample
 from tissue.hardware.haply_frames import ServiceState, force_frame, opening_frame, spelling_of
 from tissue.hardware.haply_service import asked_version, problem_of, service_address
+from tissue.hardware.state_order import StateOrder
 from tissue.motion.quaternion import Triple
 
 if TYPE_CHECKING:
@@ -77,7 +78,7 @@ class HaplyLink:
         self._sample: HardwareSample | None = None
         self._sampled_s = 0.0
         self._force, self._pushed_s = NO_FORCE, 0.0
-        self._problem = ""
+        self._problem, self._order = "", StateOrder()
         self._wake, self._ended = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -191,7 +192,7 @@ class HaplyLink:
             self._wake.wait(PERIOD_S)
             self._wake.clear()
             is_old = perf_counter() - self._pushed_s > HOLD_S
-            self._send(NO_FORCE if is_old or self._ended.is_set() else self._force)
+            self._send(NO_FORCE if is_old or self._order.is_wrong or self._ended.is_set() else self._force)
             if not self._receive(ANSWER_S) and not self._ended.is_set():
                 self._await_answers()
 
@@ -214,7 +215,11 @@ class HaplyLink:
         if problem := problem_of(self.state):
             self._force, self._problem = NO_FORCE, problem
         elif (sample := self.state.sample()) is not None:
-            self._sample, self._sampled_s = sample, perf_counter()
+            was_wrong = self._order.is_wrong
+            if not self._order.observe(sample):
+                self._sample, self._sampled_s = sample, perf_counter()
+            elif not was_wrong:
+                self._log("states of the service come in a wrong order: the force is taken off")
 
     def _await_answers(self) -> None:
         """Take the force off, and wait for the answers that are late, of which none is a new sample."""

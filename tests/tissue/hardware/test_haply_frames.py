@@ -82,7 +82,9 @@ def test_a_handle_with_one_button_and_none_at_all():
     wired = dict(FIRST)
     del wired["wireless_verse_grip"]
     assert state_after(wired).sample().quaternion == (0.0, 0.0, 0.0, 1.0)
-    wired["verse_grip"] = [{"device_id": "A", "state": {"button": True, "orientation": {"w": 1, "x": 0, "y": 0, "z": 0}}}]
+    wired["verse_grip"] = [
+        {"device_id": "A", "state": {"button": True, "orientation": {"w": 1, "x": 0, "y": 0, "z": 0}}}
+    ]
     assert state_after(wired).sample().buttons == 1
 
 
@@ -130,7 +132,9 @@ def test_addresses(address, parts):
     assert service_address(address) == parts
 
 
-@pytest.mark.parametrize("address", ["localhost:10001", "http://x:1", "ws://x", "ws://x:99999", "ws://x:1/path", "049D"])
+@pytest.mark.parametrize(
+    "address", ["localhost:10001", "http://x:1", "ws://x", "ws://x:99999", "ws://x:1/path", "049D"]
+)
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(InputError, match=r"^hardware\.address must be ws://HOST:PORT.*: use ws://localhost:10001$"):
         service_address(address)

@@ -131,7 +131,7 @@ def test_a_restart_of_the_service_is_survived_without_force_until_the_loop_pushe
 
 @pytest.mark.slow
 def test_a_service_that_stays_away_ends_the_run_with_one_sentence(service):
-    with pytest.raises(DeviceError, match="haply must keep its connection, got .*: start the Inverse Service"):  # noqa: SIM117
+    with pytest.raises(DeviceError, match=r"haply must keep its connection, got .*: start the Inverse Service"):  # noqa: SIM117
         with adapter_of(service) as adapter:
             wait_for(len, adapter)
             service.stop()

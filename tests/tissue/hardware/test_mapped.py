@@ -235,12 +235,12 @@ def test_another_run_of_a_held_device_starts_where_its_tool_does():
 
 
 def test_a_safe_device_holds_it_and_states_what_was_played():
-    device, adapter, clock = mapped(force_cap_N=2.0)
+    device, adapter, _ = mapped(force_cap_N=2.0)
     assert isinstance(device, StatesPlayed)
     with SafeDevice(device) as held:
         adapter.sample = HardwareSample((0.0, 0.0, 0.0))
         held.read(0.0)
-        force, torque = held.play(np.array([0.0, 0.0, 5.0]), np.zeros(3))
+        force, _ = held.play(np.array([0.0, 0.0, 5.0]), np.zeros(3))
         np.testing.assert_allclose(force, (0.0, 0.0, 2.0))
     assert (adapter.entered, adapter.left) == (1, 1) and not adapter.pushed[-1][0].any()
     device.close()
