@@ -8,7 +8,6 @@ every device; later ones may hold less of it. Quaternions come as w, x, y, z by 
 import json
 import re
 from collections.abc import Mapping
-from math import isfinite
 from typing import Any
 
 from tissue.hardware.adapter import HardwareSample
@@ -20,6 +19,8 @@ GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
 """Handles that give orientation and buttons, in the order in which they are looked for."""
 VECTOR_SINCE = (3, 5)
 """Version of the service from which a force is called ``vector``; before it is called ``values``."""
+MOST = 1e6
+"""A number of this size or more is none that a device states."""
 PROFILE = "tissue:simulation"
 """Name under which the vendor's window shows the session."""
 
@@ -44,7 +45,7 @@ class ServiceState:
         """
         try:
             frame = json.loads(text)
-        except ValueError:
+        except (ValueError, RecursionError):
             return False
         if not isinstance(frame, dict):
             return False
@@ -159,7 +160,7 @@ def _part(whole: object, name: str) -> dict[str, Any]:
 def _numbers(table: object, names: str) -> list[float] | None:
     """Finite numbers of a table by their names; None where one is missing or none."""
     found = [table.get(name) for name in names] if isinstance(table, dict) else [None]
-    if not all(isinstance(each, int | float) and not isinstance(each, bool) and isfinite(each) for each in found):
+    if not all(isinstance(each, int | float) and not isinstance(each, bool) and abs(each) < MOST for each in found):
         return None
     return [float(each) for each in found]  # type: ignore[arg-type]
 

@@ -1,13 +1,13 @@
 """The exchange of frames with Haply's Inverse Service in a thread of its own: newest force out, newest state in.
 
 The service answers every frame that it is sent with one state, and plays a force for as long as it is sent again. So at
-most one frame is on its way: an answer belongs to the force before it, and a sample is no older than the exchange. An
-answer that is late ends that: zero is sent, and nothing more until the service has been silent for a while, because no
-frame states what it answers.
+most one frame waits for its answer, which belongs to the force before it, and a sample is no older than its exchange. A
+late answer ends that, because no frame states what it answers: zero is sent, and nothing more until as many answers
+have come as were asked for, or are given up.
 """
 
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from tissue.haptics.device.device import DeviceError
 from tissue.hardware.adapter import HardwareSample
 from tissue.hardware.haply_frames import ServiceState, force_frame, opening_frame, spelling_of
 from tissue.hardware.haply_service import asked_version, problem_of, service_address
+from tissue.hardware.state_order import StateOrder
 from tissue.motion.quaternion import Triple
 
 if TYPE_CHECKING:
@@ -27,12 +28,18 @@ PERIOD_S = 1e-3
 """Longest time between an answer and the next frame [s]."""
 ANSWER_S = 0.02
 """How long an answer may take [s]."""
-QUIET_S = 0.03
-"""Silence after which no late answer is expected any more [s]."""
+LOST_S = 0.5
+"""Silence after which answers that are late count as lost [s]."""
+PATIENCE_S = 0.01
+"""How long the thread waits before it looks whether it is to end [s]."""
 HOLD_S = 0.03
 """How long a force is sent again that the loop has not commanded again [s]."""
 GIVE_UP_S = 3.0
-"""How long a run goes on without a sample, or tries to reach the service again [s]."""
+"""How long a run goes on without a sample [s]."""
+AGAIN_S = 2.5
+"""How long the service is tried to be reached again [s]."""
+MOST_EVENTS = 100
+"""Events that are kept one by one."""
 OPEN_S = 2.0
 """How long the service may take to open and to send its first frame [s]."""
 NO_FORCE: Triple = (0.0, 0.0, 0.0)
@@ -67,10 +74,11 @@ class HaplyLink:
         self.events: list[str] = []
         self._spelling = "vector"
         self._socket: ClientConnection | None = None
+        self._stack = ExitStack()
         self._sample: HardwareSample | None = None
         self._sampled_s = 0.0
         self._force, self._pushed_s = NO_FORCE, 0.0
-        self._problem = ""
+        self._problem, self._order = "", StateOrder()
         self._wake, self._ended = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -96,8 +104,10 @@ class HaplyLink:
             ) from None
         self.state = ServiceState(self._device_id)
         try:
-            self._socket = connect(
-                self.url, compression=None, proxy=None, open_timeout=OPEN_S, close_timeout=0.1, ping_interval=None
+            self._socket = self._stack.enter_context(
+                connect(
+                    self.url, compression=None, proxy=None, open_timeout=OPEN_S, close_timeout=0.1, ping_interval=None
+                )
             )
             first = self._socket.recv(timeout=OPEN_S)
         except (OSError, WebSocketException) as error:
@@ -120,7 +130,7 @@ class HaplyLink:
             self._disconnect()
             raise InputError(problem)
         if self.state.status("in_use") is True:
-            self.events.append("another program uses the device: the service adds the forces of both, close the other")
+            self._log("another program uses the device: the service adds the forces of both, close the other")
         self._sample, self._sampled_s = self.state.sample(), perf_counter()
         self._thread = threading.Thread(target=self._run, daemon=True, name="haply")
         self._thread.start()
@@ -167,6 +177,9 @@ class HaplyLink:
                 self._exchange()
             except (OSError, WebSocketException) as error:
                 goes_on = not self._ended.is_set() and self._reached_again(" ".join(str(error).split()))
+            except Exception as error:  # nothing may leave the loop waiting for a thread that is gone
+                self._problem = f"haply must send frames as documented, got {type(error).__name__} ({error}): report it"
+                goes_on = False
         with suppress(OSError, WebSocketException):
             self._send(NO_FORCE)
         self._disconnect()
@@ -179,9 +192,9 @@ class HaplyLink:
             self._wake.wait(PERIOD_S)
             self._wake.clear()
             is_old = perf_counter() - self._pushed_s > HOLD_S
-            self._send(NO_FORCE if is_old or self._ended.is_set() else self._force)
+            self._send(NO_FORCE if is_old or self._order.is_wrong or self._ended.is_set() else self._force)
             if not self._receive(ANSWER_S) and not self._ended.is_set():
-                self._await_silence()
+                self._await_answers()
 
     def _send(self, force_N: Triple) -> None:
         self._open_socket.send(force_frame(self.state.device_id, force_N, self._spelling))
@@ -202,23 +215,28 @@ class HaplyLink:
         if problem := problem_of(self.state):
             self._force, self._problem = NO_FORCE, problem
         elif (sample := self.state.sample()) is not None:
-            self._sample, self._sampled_s = sample, perf_counter()
+            was_wrong = self._order.is_wrong
+            if not self._order.observe(sample):
+                self._sample, self._sampled_s = sample, perf_counter()
+            elif not was_wrong:
+                self._log("states of the service come in a wrong order: the force is taken off")
 
-    def _await_silence(self) -> None:
-        """Take the force off, and wait until no answer of earlier frames can come any more."""
+    def _await_answers(self) -> None:
+        """Take the force off, and wait for the answers that are late, of which none is a new sample."""
         self._force, self._sample = NO_FORCE, None
-        self.events.append(f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off")
+        self._log(f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off")
         self._send(NO_FORCE)
-        link = self._open_socket
-        with suppress(TimeoutError):
-            while not self._ended.is_set():
-                self.state.take(link.recv(timeout=QUIET_S))
+        link, missing, until = self._open_socket, 2, perf_counter() + LOST_S
+        while missing > 0 and perf_counter() < until and not self._ended.is_set():
+            with suppress(TimeoutError):
+                self.state.take(link.recv(timeout=PATIENCE_S))
+                missing, until = missing - 1, perf_counter() + LOST_S
 
     def _reached_again(self, why: str) -> bool:
         """Reach a service that was restarted; whether it answers before it is given up."""
         self._force, self._sample = NO_FORCE, None
-        self.events.append("the service closed the connection: the force is zero until it is back")
-        until = perf_counter() + GIVE_UP_S
+        self._log("the service closed the connection: the force is zero until it is back")
+        until = perf_counter() + AGAIN_S
         while perf_counter() < until and not self._ended.wait(0.05):
             self._disconnect()
             with suppress(InputError):
@@ -237,11 +255,14 @@ class HaplyLink:
             raise OSError("the session was ended")
         return self._socket
 
+    def _log(self, what: str) -> None:
+        if len(self.events) < MOST_EVENTS:
+            self.events.append(what)
+
     def _disconnect(self) -> None:
-        link, self._socket = self._socket, None
-        if link is not None:
-            with suppress(OSError):
-                link.close()
+        stack, self._stack, self._socket = self._stack, ExitStack(), None
+        with suppress(OSError):
+            stack.close()
 
 
 def _bytes(text: str | bytes) -> bytes:
