@@ -18,8 +18,8 @@ SLOWEST_HZ, LONGEST_S = 10.0, 0.2
 def write_measured(path: Path, name: str, test: SelfTest) -> None:
     """Write rate and latency of a device as constants of it, with their ranges.
 
-    The rate is the mean one, and that of our ticks where nearly every tick has a sample; the low end of its range is what 99 % of the intervals keep. The
-    latency is the round trip, or what the calls take where the device shows none.
+    The rate is the mean one, and that of our ticks where nearly every tick has a sample; the low end of its range is
+    what 99 % of the intervals keep. The latency is the round trip, or what the calls take where the device shows none.
     """
     most = 1.0 / TICK_S
     rate, low = (min(max(each, SLOWEST_HZ), most) for each in (test.rate_Hz, 1.0 / test.interval_99_s))

@@ -50,7 +50,9 @@ def test_found_devices_come_first_with_their_limits(command, alone, monkeypatch)
     ForceDimension().install(monkeypatch)
     OpenHaptics().install(monkeypatch)
     code, out, _ = command("devices")
-    assert code == 0 and out.startswith("forcedimension  7  omega.6\n                at most 12 N, no torque; workspace 110 x 160 x 160 mm; 1000 Hz")
+    assert code == 0 and out.startswith(
+        "forcedimension  7  omega.6\n                at most 12 N, no torque; workspace 110 x 160 x 160 mm; 1000 Hz"
+    )
     assert "openhaptics     Default Device  3D Systems Touch\n" in out and "no device is found" not in out
 
 
@@ -68,7 +70,7 @@ class Device:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
             free.bind(("127.0.0.1", 0))
             self.address = f"udp://127.0.0.1:{free.getsockname()[1]}"
-        self.forces, self.ends = [], threading.Event()
+        self.forces, self.ends, self.left = [], threading.Event(), threading.Event()
         self.thread = threading.Thread(target=self.run)
 
     def run(self):
@@ -77,7 +79,8 @@ class Device:
         while not self.ends.is_set():
             try:
                 kind, seen, _, payload = read(client.line.recv(2048))
-                taken = kind != BYE
+                if (taken := kind != BYE) is False:
+                    self.left.set()
                 if payload:
                     self.forces.append(memoryview(payload).cast("d")[2])
                     height += 1e-6 * self.forces[-1]
@@ -95,6 +98,7 @@ class Device:
         return self
 
     def __exit__(self, *error):
+        self.left.wait()  # all that was sent has then come
         self.ends.set()
         self.thread.join()
 
@@ -106,7 +110,14 @@ def test_a_device_is_tested_pushed_and_its_numbers_written(command, tmp_path):
         code, out, error = command(*arguments, "--out", str(out_file))
     assert code == 0, error
     names = [line.split("  ")[0] for line in out.splitlines()]
-    assert names == ["samples", "interval", "calls", "round trip", "push", f'written to {out_file}: use it in a scene by --set materials="{out_file}"']
+    assert names == [
+        "samples",
+        "interval",
+        "calls",
+        "round trip",
+        "push",
+        f'written to {out_file}: use it in a scene by --set materials="{out_file}"',
+    ]
     assert "not shown" not in out and "0.5 N along the device's z" in out
     assert 0.4 < max(device.forces) <= 0.5 and device.forces[-1] == 0.0
     entries = tomllib.loads(out_file.read_text("utf-8"))["devices"]["network"]
@@ -115,7 +126,9 @@ def test_a_device_is_tested_pushed_and_its_numbers_written(command, tmp_path):
     assert code == 2 and "--overwrite" in error
 
 
-@pytest.mark.parametrize(("answer", "pushes"), [("push\n", True), (" PUSH \n", True), ("y\n", False), ("\n", False), ("", False)])
+@pytest.mark.parametrize(
+    ("answer", "pushes"), [("push\n", True), (" PUSH \n", True), ("y\n", False), ("\n", False), ("", False)]
+)
 def test_the_push_is_made_only_after_the_word_is_typed(command, monkeypatch, tmp_path, answer, pushes):
     import io
 

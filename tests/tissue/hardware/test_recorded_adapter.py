@@ -52,7 +52,9 @@ def test_a_file_that_is_no_record_is_refused(tmp_path, content, sentence):
 
 
 def test_a_record_needs_its_file(tmp_path):
-    with pytest.raises(InputError, match=r"hardware\.address must be a file of poses with device = recorded, got nothing"):
+    with pytest.raises(
+        InputError, match=r"hardware\.address must be a file of poses with device = recorded, got nothing"
+    ):
         RecordedAdapter()
     hardware = table(tmp_path / "poses.csv", (0.0, 1.5), (0.0, 1.0))
     (found,) = RecordedAdapter.find(hardware.address)

@@ -163,9 +163,7 @@ def test_the_judge_takes_the_measured_rate_and_latency(tmp_path):
     """A device of 200 Hz and 6 ms bears less stiffness than one of 1000 Hz and 2 ms, and the note names the file."""
     path = tmp_path / "measured.toml"
     write_measured(path, "network", SLOW)
-    usual, slow = (
-        load_scene("wall", {"device": "network"} | more) for more in ({}, {"materials": str(path)})
-    )
+    usual, slow = (load_scene("wall", {"device": "network"} | more) for more in ({}, {"materials": str(path)}))
     loops = [judged_loop(loop_settings(scene), step_s=TICK_S) for scene in (usual, slow)]
     assert [loop.tick_s for loop in loops] == [1e-3, 5e-3] and loops[1].delay_s > loops[0].delay_s + 3.9e-3
     bears = [critical_stiffness_N_m(loop) for loop in loops]
