@@ -32,6 +32,7 @@ def opened_device(scene: Scene) -> Device | None:
         from tissue.hardware.mapped import MappedDevice
 
         return MappedDevice(loaded(entry.adapter)(scene.hardware), scene.hardware, start_m=(x, y, z))
+    assert entry.make is not None
     device = loaded(entry.make)((x, y, z))
     if missing := [name for name in ("read", "command") if not callable(getattr(device, name, None))]:
         raise InputError(

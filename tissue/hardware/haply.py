@@ -68,6 +68,11 @@ class HaplyAdapter:
         """Send zero and leave the service, which forgets a force that is not sent again."""
         self._link.end()
 
+    @property
+    def releases(self) -> int:
+        """How often the exchange has taken the force off by itself."""
+        return self._link.releases
+
     def happened(self) -> tuple[str, ...]:
         """What the exchange with the service has found so far, in sentences."""
         return tuple(self._link.events)

@@ -40,6 +40,8 @@ AGAIN_S = 2.5
 """How long the service is tried to be reached again [s]."""
 MOST_EVENTS = 100
 """Events that are kept one by one."""
+MOST_BEHIND = 20
+"""Frames that are taken at once, where a service sends more than it is asked for."""
 OPEN_S = 2.0
 """How long the service may take to open and to send its first frame [s]."""
 NO_FORCE: Triple = (0.0, 0.0, 0.0)
@@ -64,6 +66,8 @@ class HaplyLink:
         Major and minor version of the service; None where it does not state it.
     events
         What has happened, in sentences.
+    releases
+        How often the force was taken off here: what comes on again has to begin at zero.
     """
 
     def __init__(self, address: str = "") -> None:
@@ -72,6 +76,7 @@ class HaplyLink:
         self.state = ServiceState(device_id)
         self.version: tuple[int, int] | None = None
         self.events: list[str] = []
+        self.releases, self._was_off = 0, True
         self._spelling = "vector"
         self._socket: ClientConnection | None = None
         self._stack = ExitStack()
@@ -187,14 +192,16 @@ class HaplyLink:
     def _exchange(self) -> None:
         """Frame by frame."""
         self._open_socket.send(opening_frame(self.state.device_id, self._spelling))
-        self._receive(ANSWER_S)
         while not self._ended.is_set():
+            if not self._receive(ANSWER_S) and not self._ended.is_set():
+                self._await_answers()
             self._wake.wait(PERIOD_S)
             self._wake.clear()
             is_old = perf_counter() - self._pushed_s > HOLD_S
-            self._send(NO_FORCE if is_old or self._order.is_wrong or self._ended.is_set() else self._force)
-            if not self._receive(ANSWER_S) and not self._ended.is_set():
-                self._await_answers()
+            is_off = is_old or self._order.is_wrong or bool(self._problem) or self._ended.is_set()
+            self.releases += is_off and not self._was_off
+            self._was_off = is_off
+            self._send(NO_FORCE if is_off else self._force)
 
     def _send(self, force_N: Triple) -> None:
         self._open_socket.send(force_frame(self.state.device_id, force_N, self._spelling))
@@ -203,7 +210,7 @@ class HaplyLink:
         """Take the answer and all that came behind it; whether there was one in time."""
         link, answered = self._open_socket, False
         with suppress(TimeoutError):
-            while True:
+            for _ in range(MOST_BEHIND):
                 self._take(link.recv(timeout=0 if answered else seconds))
                 answered = True
         return answered
@@ -224,6 +231,7 @@ class HaplyLink:
     def _await_answers(self) -> None:
         """Take the force off, and wait for the answers that are late, of which none is a new sample."""
         self._force, self._sample = NO_FORCE, None
+        self.releases += 1
         self._log(f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off")
         self._send(NO_FORCE)
         link, missing, until = self._open_socket, 2, perf_counter() + LOST_S
@@ -235,6 +243,7 @@ class HaplyLink:
     def _reached_again(self, why: str) -> bool:
         """Reach a service that was restarted; whether it answers before it is given up."""
         self._force, self._sample = NO_FORCE, None
+        self.releases += 1
         self._log("the service closed the connection: the force is zero until it is back")
         until = perf_counter() + AGAIN_S
         while perf_counter() < until and not self._ended.wait(0.05):

@@ -74,12 +74,12 @@ class MappedDevice:
         self._events: list[tuple[float, str]] = []
         self._newest: HardwareSample | None = None
         self._came = self._time = 0.0
-        self._lost = False
+        self._lost, self._releases, self._noted = False, 0, 0
         self._begin(0.0)
 
     def __enter__(self) -> Self:
         self._adapter.__enter__()
-        self._newest = None
+        self._newest, self._releases, self._noted = None, getattr(self._adapter, "releases", 0), 0
         self._begin(0.0)
         return self
 
@@ -101,6 +101,9 @@ class MappedDevice:
             self._begin(time_s)
         elapsed, self._time = time_s - self._time, time_s
         now, sample = self._now(), self._adapter.poll()
+        if (releases := getattr(self._adapter, "releases", 0)) != self._releases:
+            self._releases, self.share = releases, 0.0
+            self._note()
         if sample is not None:
             self._newest, self._came = sample, now
         elif self._newest is None or now - self._came > self._patience:
@@ -131,8 +134,8 @@ class MappedDevice:
 
     def happened(self) -> list[tuple[float, str]]:
         """What the watchdog and the adapter have found so far, time [s] and a sentence each."""
-        more = getattr(self._adapter, "happened", None)
-        return self._events + [(self._time, what) for what in (more() if more is not None else ())]
+        self._note()
+        return self._events
 
     def _begin(self, time_s: float) -> None:
         """A run begins: the next sample is where its tool starts, and the force comes on from zero."""
@@ -142,6 +145,13 @@ class MappedDevice:
     def _ramped(self, elapsed_s: float) -> float:
         """The share after so much more time."""
         return min(self.share + elapsed_s / self._ramp, 1.0) if self._ramp > 0.0 else 1.0
+
+    def _note(self) -> None:
+        """Take over what the adapter has found since this was called last."""
+        found = getattr(self._adapter, "happened", tuple)()
+        for what in found[self._noted :]:
+            self._log(what)
+        self._noted = len(found)
 
     def _log(self, what: str) -> None:
         if len(self._events) < MOST_EVENTS:

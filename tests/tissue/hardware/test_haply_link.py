@@ -169,6 +169,22 @@ def test_late_answers_are_never_taken_for_new_samples(service):
             time.sleep(1e-3)
 
 
+def test_what_is_taken_off_is_counted(service):
+    with adapter_of(service) as adapter:
+        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        before = adapter.releases
+        wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))  # it was not pushed again
+        assert adapter.releases > before
+
+
+def test_a_service_that_sends_more_than_it_is_asked_for_gives_its_newest_state(service):
+    service.repeated = 3
+    service.arm.aim = lambda time_s: (0.01 * time_s, 0.0, 0.0)
+    with adapter_of(service) as adapter:
+        samples = wait_for(lambda samples: len(samples) > 50, adapter, (0.0, 0.0, 0.0))
+    assert np.median(np.diff([sample.position_m[0] for sample in samples])) > 0.0
+
+
 def test_the_second_device_is_taken_by_its_name(service):
     service.devices = (DEVICE, "A14")
     assert [each.where for each in HaplyAdapter.find(service.url)] == [f"{service.url}#{DEVICE}", f"{service.url}#A14"]

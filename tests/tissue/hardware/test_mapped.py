@@ -213,6 +213,17 @@ def test_the_watchdog_repeats_a_sample_and_then_takes_the_force_off():
     ]
 
 
+def test_a_force_that_the_adapter_took_off_comes_on_from_zero():
+    device, adapter, clock = mapped(ramp_ms=20.0)
+    here = [HardwareSample((0.0, 0.0, 0.0))]
+    adapter.releases, adapter.happened = 0, lambda: ("late",) * adapter.releases
+    assert run(device, adapter, clock, here * 30)[1][-1, 0] == 1.0
+    adapter.releases = 1
+    _, played = run(device, adapter, clock, here * 30)
+    np.testing.assert_allclose(played[:, 0], np.minimum((np.arange(30) + 1) / 20.0, 1.0), atol=1e-12)
+    assert device.happened() == [(pytest.approx(0.03), "late")] == device.happened()
+
+
 def test_nothing_is_read_or_played_before_the_first_sample():
     device, adapter, clock = mapped()
     read, played = run(device, adapter, clock, [None] * 50)

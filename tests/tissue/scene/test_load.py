@@ -143,7 +143,8 @@ def test_toml_of_a_scene_holds_every_entry_that_is_set():
     for name, part in (("voxels", tissue.scene.scene.Voxels), ("output", tissue.scene.scene.Output)):
         assert set(table[name]) == set(part.model_fields)
     held = tomllib.loads(load_scene("glenoid", {"device": "six-dof", "prediction": "koopman"}).to_toml())
-    assert by_hand <= set(held) and {"prediction_gain", "delay_ms"} <= set(held["coupling"])
+    assert by_hand - {"hardware"} <= set(held) and {"prediction_gain", "delay_ms"} <= set(held["coupling"])
+    assert "hardware" in tomllib.loads(load_scene("wall", {"device": "haply"}).to_toml())
 
 
 @pytest.mark.parametrize("name", scene_names())
