@@ -2,11 +2,12 @@
 
 Read in pyOpenHaptics 1.0.1: a transform is in mm, with the axes of the handle in its first three rows and the
 position in the fourth; x points right, y up, z to the hand. The library calls a function in a thread of its own, a
-thousand times a second, and only inside it may the device be read or driven. That thread and the loop's share two
+thousand times a second, and only inside it may the device be read or driven. That thread and the loop's share a few
 attributes, each replaced whole. The class HapticDevice of the package does not report a device that is missing, so its
 functions are called one by one.
 """
 
+import threading
 from collections import deque
 from contextlib import redirect_stdout, suppress
 from io import StringIO
@@ -31,6 +32,8 @@ NONE = (None, 0x0104, 0xFFFFFFFF)
 """What is returned in place of a device."""
 HELD_S = 0.05
 """How long a force is played without another one [s]."""
+REST_S = 0.05
+"""How long an end waits for the vendor's thread to have played zero [s]."""
 WINDOW = 10
 """Calls of the vendor's thread over which velocities are taken, 10 ms."""
 MISSING = (
@@ -60,6 +63,7 @@ class OpenHapticsAdapter:
         self._force: tuple[list[float], float] = ([0.0, 0.0, 0.0], 0.0)  # and when it was pushed
         self._past: deque[tuple[float, HardwareSample]] = deque(maxlen=WINDOW)
         self._problem = ""
+        self._ended, self._rests = True, threading.Event()
 
     @staticmethod
     def find(address: str = "") -> list[FoundDevice]:
@@ -88,7 +92,7 @@ class OpenHapticsAdapter:
             number = hd.init_device(self._name)
             if number in NONE:
                 raise InputError(f"a device named {self._name} must be connected, got none: {NO_DEVICE}")
-            self._hd, self._id = hd, number
+            self._hd, self._id, self._ended = hd, number, False
             self._callback = scheduling.hd_callback(self._serve)
             try:
                 hd.enable_force()
@@ -125,11 +129,14 @@ class OpenHapticsAdapter:
         self._force = (force_N.tolist(), perf_counter())
 
     def close(self) -> None:
-        """Take all force off by stopping the vendor's thread, and close the device."""
-        hd, self._hd = self._hd, None
-        self._force = ([0.0, 0.0, 0.0], 0.0)
-        if hd is None:
+        """Let the vendor's thread play zero once more, stop it, and close the device."""
+        if self._ended:
             return
+        self._rests.clear()
+        self._ended = True
+        hd = self._hd
+        self._rests.wait(REST_S)
+        self._hd = None
         for call in (hd.stop_scheduler, lambda: hd.close_device(self._id)):
             with suppress(Exception):
                 call()
@@ -141,8 +148,10 @@ class OpenHapticsAdapter:
             if hd is None:
                 return
             self._sample = self._read(hd.get_transform(), hd.get_buttons(), now)
-            force, pushed = self._force
-            hd.set_force(force if now - pushed <= HELD_S else [0.0, 0.0, 0.0])
+            (force, pushed), ended = self._force, self._ended
+            hd.set_force(force if now - pushed <= HELD_S and not ended else [0.0, 0.0, 0.0])
+            if ended:
+                self._rests.set()
         except Exception as error:
             self._problem = f"the device must answer, got {type(error).__name__} ({error}): check its cable and driver"
 

@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import threading
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -164,9 +165,18 @@ def test_a_touch_is_read_and_pushed_in_the_vendors_thread_alone(monkeypatch, cap
         device.step()
         sample = adapter.poll()
         assert adapter.poll() is None
+        adapter.push(FORCE, TORQUE)
+        ending = threading.Thread(target=adapter.close)
+        ending.start()
+        while not adapter._ended:
+            time.sleep(1e-3)
+        device.step()  # the vendor's thread plays zero before it is stopped
+        ending.join()
+        adapter.push(FORCE, TORQUE)
+        device.step()
     assert sample.position_m == pytest.approx((0.01, -0.02, 0.03)) and sample.buttons == 2
     assert abs(np.dot(sample.quaternion, device.rotation.as_quat())) == pytest.approx(1.0)
-    assert device.forces == [(1.0, -2.0, 3.0)]
+    assert device.forces == [(1.0, -2.0, 3.0), (0.0, 0.0, 0.0)]
     assert device.calls == ["init Default Device", "force", "start", "stop", "close 0"]
     assert capsys.readouterr().out == ""  # what the package prints is not shown
 
@@ -273,8 +283,6 @@ def test_the_vendors_thread_and_the_loop_share_whole_samples(monkeypatch):
     """Samples of a device that moves along one line while both threads run: none mixes two of them."""
     device = OpenHaptics().install(monkeypatch)
     with OpenHapticsAdapter() as adapter:
-        import threading
-
         ends = threading.Event()
 
         def serve():
