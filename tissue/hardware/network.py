@@ -64,7 +64,7 @@ class UdpTransport:
     def __init__(self, host: str, port: int, session: NetworkSession) -> None:
         self._session, self._closed = session, False
         try:
-            (family, kind, *_, place), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+            (family, kind, *_, place), *_ = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_DGRAM)
             self._socket = socket.socket(family, kind)
         except OSError as error:
             raise _cannot_listen(f"udp://{host}:{port}", error) from None
@@ -216,7 +216,7 @@ def _parsed(address: str) -> tuple[str, str, int]:
             f"hardware.address must be udp://HOST:PORT or ws://HOST:PORT where a device is awaited, got {address}: use "
             f"{USUAL}"
         )
-    return parts.scheme, host, port
+    return parts.scheme, f"[{host}]" if ":" in host else host, port
 
 
 def _cannot_listen(address: str, error: OSError) -> InputError:

@@ -95,7 +95,7 @@ class WebTransport:
         from websockets.asyncio.server import serve
 
         server = await serve(
-            self._talk, host, port,
+            self._talk, host.strip("[]"), port,
             origins=[None], max_size=LONGEST_MESSAGE, compression=None, ping_interval=None, close_timeout=CLOSE_S,
         )  # fmt: skip
         self._listening(server, host)

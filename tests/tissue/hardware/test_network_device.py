@@ -176,6 +176,28 @@ def test_a_host_that_is_none_is_refused():
         NetworkAdapter(Hardware(address="udp://no.such.host.invalid:7")).__enter__()
 
 
+@pytest.mark.parametrize("scheme", ["udp", "ws"])
+def test_the_loopback_of_ipv6_is_taken_too(scheme):
+    try:
+        with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as there:
+            there.bind(("::1", 0))
+    except OSError:
+        pytest.skip("this machine has no IPv6")
+    with NetworkAdapter(Hardware(address=f"{scheme}://[::1]:0")) as adapter:
+        assert re.fullmatch(rf"{scheme}://\[::1\]:[1-9]\d*", adapter.address)
+        port = int(adapter.address.rpartition(":")[2])
+        if scheme == "ws":
+            with opened(adapter) as line:
+                line.send(packet(HELLO, 1))
+                assert received(line)[0] == HELLO
+        else:
+            with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as line:
+                line.settimeout(10.0)
+                line.sendto(packet(HELLO, 1), ("::1", port))
+                polled(adapter, lambda _: adapter.session.peer is not None)
+                assert read(line.recv(2048))[0] == HELLO
+
+
 def test_it_listens_to_this_machine_alone_unless_it_is_asked_to():
     assert NetworkAdapter().address == "udp://127.0.0.1:24930"
 
@@ -298,8 +320,8 @@ class Feeder:
     """A device in a thread: it asks, sends a pose each millisecond, and keeps each wrench with its time."""
 
     def __init__(self, address, *, until=None, spoil=lambda number, data: data):
-        self.client, self.until, self.spoil = UdpClient(address), until, spoil
-        self.wrenches, self.ends = [], threading.Event()
+        self.client, self.until, self.spoil = UdpClient(address or "udp://127.0.0.1:9"), until, spoil
+        self.wrenches, self.ends, self.left = [], threading.Event(), threading.Event()
         self.thread = threading.Thread(target=self.run)
 
     def run(self):
@@ -309,10 +331,12 @@ class Feeder:
             try:
                 kind, _, _, payload = read(client.line.recv(2048))
                 taken = kind != BYE
+                if kind == BYE:
+                    self.left.set()
                 if kind == WRENCH:
                     self.wrenches.append((time.perf_counter(), *wrench(payload)))
                 continue
-            except BlockingIOError:
+            except (BlockingIOError, ConnectionError):
                 pass
             elapsed = time.perf_counter() - start
             client.number += 1
@@ -323,6 +347,10 @@ class Feeder:
                 client.send(data)
             time.sleep(1e-3)
         client.line.close()
+
+    def reach(self, address):
+        """Ask at another address from now on."""
+        self.client.place = ("127.0.0.1", int(address.rpartition(":")[2]))
 
     def __enter__(self):
         self.thread.start()
@@ -360,6 +388,25 @@ def test_whatever_a_line_does_the_force_is_zero_soon_after(fault):
         assert was_pushed and zeros > 5
     last_push = max(at for at, *parts in feeder.wrenches if any(parts))
     assert not any(any(parts) for at, *parts in feeder.wrenches if at > last_push)
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_whatever_ends_a_loop_zero_and_goodbye_are_last(error):
+    hardware = Hardware(address="udp://127.0.0.1:0", ramp_ms=0.0)
+    adapter = NetworkAdapter(hardware)
+    ended = pytest.raises(error)
+    with Feeder(None) as feeder:
+        with ended, SafeDevice(MappedDevice(adapter, hardware)) as held:
+            feeder.reach(adapter.address)
+            tick = 0
+            while not any(each[3] == 1.0 for each in feeder.wrenches[-5:]):
+                held.read(1e-3 * tick)
+                held.play(np.array([0.0, 0.0, 1.0]), ZERO)
+                time.sleep(1e-3)
+                tick += 1
+            raise error
+        feeder.left.wait()
+    assert not any(feeder.wrenches[-1][1:]) and adapter.session.peer is None
 
 
 def client_of_the_page(tmp_path, port, seconds):
