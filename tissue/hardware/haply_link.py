@@ -81,7 +81,7 @@ class HaplyLink:
         self._socket: ClientConnection | None = None
         self._stack = ExitStack()
         self._sample: HardwareSample | None = None
-        self._sampled_s = 0.0
+        self._sampled_s = self._asked_s = 0.0
         self._force, self._pushed_s = NO_FORCE, 0.0
         self._problem, self._order = "", StateOrder()
         self._wake, self._ended = threading.Event(), threading.Event()
@@ -191,6 +191,7 @@ class HaplyLink:
 
     def _exchange(self) -> None:
         """Frame by frame."""
+        self._asked_s = perf_counter()
         self._open_socket.send(opening_frame(self.state.device_id, self._spelling))
         while not self._ended.is_set():
             if not self._receive(ANSWER_S) and not self._ended.is_set():
@@ -204,6 +205,7 @@ class HaplyLink:
             self._send(NO_FORCE if is_off else self._force)
 
     def _send(self, force_N: Triple) -> None:
+        self._asked_s = perf_counter()
         self._open_socket.send(force_frame(self.state.device_id, force_N, self._spelling))
 
     def _receive(self, seconds: float) -> bool:
@@ -222,9 +224,10 @@ class HaplyLink:
         if problem := problem_of(self.state):
             self._force, self._problem = NO_FORCE, problem
         elif (sample := self.state.sample()) is not None:
-            was_wrong = self._order.is_wrong
+            was_wrong, now = self._order.is_wrong, perf_counter()
             if not self._order.observe(sample):
-                self._sample, self._sampled_s = sample, perf_counter()
+                if now - self._asked_s < ANSWER_S:  # this thread may have stood still before it took the answer
+                    self._sample, self._sampled_s = sample, now
             elif not was_wrong:
                 self._log("states of the service come in a wrong order: the force is taken off")
 
