@@ -8,7 +8,7 @@ have come as were asked for, or are given up.
 
 import threading
 from contextlib import ExitStack, suppress
-from time import perf_counter
+from time import perf_counter, sleep
 from typing import TYPE_CHECKING
 
 from meshes.base.errors import InputError
@@ -124,7 +124,7 @@ class HaplyLink:
         self._spelling = spelling_of(self.version, has_session=b"session_id" in _bytes(first))
 
     def start(self) -> None:
-        """Begin to exchange frames, without force.
+        """Begin to exchange frames, without force, and wait for the first sample.
 
         Raises
         ------
@@ -136,9 +136,12 @@ class HaplyLink:
             raise InputError(problem)
         if self.state.status("in_use") is True:
             self._log("another program uses the device: the service adds the forces of both, close the other")
-        self._sample, self._sampled_s = self.state.sample(), perf_counter()
+        self._sample, self._sampled_s = None, perf_counter()
         self._thread = threading.Thread(target=self._run, daemon=True, name="haply")
         self._thread.start()
+        until = perf_counter() + OPEN_S
+        while self._sample is None and not self._problem and perf_counter() < until:
+            sleep(PERIOD_S)  # what the first frame stated may be old by now
 
     def newest(self) -> HardwareSample | None:
         """The newest sample; None where none came since the last call.
