@@ -322,6 +322,7 @@ class Feeder:
     def __init__(self, address, *, until=None, spoil=lambda number, data: data):
         self.client, self.until, self.spoil = UdpClient(address or "udp://127.0.0.1:9"), until, spoil
         self.wrenches, self.ends, self.left = [], threading.Event(), threading.Event()
+        self.good_until = math.nan
         self.thread = threading.Thread(target=self.run)
 
     def run(self):
@@ -343,6 +344,8 @@ class Feeder:
             if not taken:
                 client.send(packet(HELLO, client.number))
             elif self.until is None or elapsed < self.until:
+                if client.number == 99:
+                    self.good_until = time.perf_counter()
                 data = self.spoil(client.number, pose(client.number, (0.0, 0.0, -0.02 * min(elapsed, 1.0))))
                 client.send(data)
             time.sleep(1e-3)
@@ -387,6 +390,7 @@ def test_whatever_a_line_does_the_force_is_zero_soon_after(fault):
                 break
         assert was_pushed and zeros > 5
     last_push = max(at for at, *parts in feeder.wrenches if any(parts))
+    print(f"{fault}: last force {1e3 * (last_push - feeder.good_until):.1f} ms after the last good pose")
     assert not any(any(parts) for at, *parts in feeder.wrenches if at > last_push)
 
 
