@@ -12,7 +12,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample
+from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample, StatesPlayed
 from tissue.haptics.loop.filters import SlewLimit
 from tissue.models.tissue_model import TICK_S
 
@@ -69,6 +69,7 @@ class SafeDevice:
         self._holder = device if isinstance(device, SafeDevice) else None
         self.device: Device = device.device if isinstance(device, SafeDevice) else device
         self.in_process = bool(getattr(self.device, "in_process", False))
+        self._states = self.device if isinstance(self.device, StatesPlayed) else None
         self.entered = False
         self.released = False
         self.slow_reads, self.slowest_read_s, self._releases = 0, 0.0, 0
@@ -85,7 +86,7 @@ class SafeDevice:
         self._closed = False
 
     def happened(self) -> list[tuple[float, str]]:
-        """Slow reads and limited changes so far, time of the last read [s] and a sentence each."""
+        """Slow reads, limited changes and what the device states so far, time [s] and a sentence each."""
         found = []
         if self.slow_reads:
             slowest = f"{1e3 * self.slowest_read_s:.3g} ms"
@@ -95,7 +96,8 @@ class SafeDevice:
             found.append(f"the force was taken off and faded in again {self._releases} times, because {late}")
         if held := max(self._force.limited, self._torque.limited):
             found.append(f"the device's slew held the force back in {held} ticks")
-        return [(self._time_s, what) for what in found]
+        stated = self._states.happened() if self._states is not None else []
+        return stated + [(self._time_s, what) for what in found]
 
     def __enter__(self) -> Self:
         held = self._holder is not None and self._holder.entered
@@ -153,7 +155,7 @@ class SafeDevice:
         return sample if took <= 2.5 * self._tick else None
 
     def play(self, force_N: Array, torque_Nm: Array) -> tuple[Array, Array]:
-        """Command a force [N] and a torque [N m], brought within the limits of slew; what was commanded.
+        """Command a force [N] and a torque [N m], brought within the limits of slew; what is played of it.
 
         Raises
         ------
@@ -169,7 +171,7 @@ class SafeDevice:
                 with suppress(Exception):
                     self.device.command(np.zeros(3), np.zeros(3))
                 raise self._lost
-        return force, torque
+        return (force, torque) if self._states is None else self._states.played
 
     def stop(self, reason: BaseException) -> None:
         """Let the next read raise ``reason``; the force is then ramped to zero."""
