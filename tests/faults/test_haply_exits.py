@@ -194,7 +194,7 @@ def test_a_restart_of_the_service_begins_without_force_and_the_run_goes_on():
 def after_exception(monkeypatch):
     raised = []
     with RemoteService(press_m=0.03) as service, monkeypatch.context() as patch:
-        play, pressing = HandMotion.play, Pressing(service, lambda: 1.0, lambda *_: False)
+        play, pressing = HandMotion.play, Pressing(service, lambda: 1.0)
 
         def fails(motion, response):
             play(motion, response)
@@ -205,6 +205,7 @@ def after_exception(monkeypatch):
         patch.setattr(HandMotion, "play", fails)
         with pytest.raises(RuntimeError, match="solves the stress"):
             simulate(scene_on(service), on_tick=pressing)
+        pressing.over.wait(PATIENCE_S)
         return zeroed(service.commands(), raised[0])
 
 

@@ -148,7 +148,7 @@ class MappedDevice:
 
     def _note(self) -> None:
         """Take over what the adapter has found since this was called last."""
-        found = getattr(self._adapter, "happened", tuple)()
+        found: tuple[str, ...] = getattr(self._adapter, "happened", tuple)()
         for what in found[self._noted :]:
             self._log(what)
         self._noted = len(found)

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from tissue import InputError
@@ -138,6 +139,30 @@ def test_addresses(address, parts):
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(InputError, match=r"^hardware\.address must be ws://HOST:PORT.*: use ws://localhost:10001$"):
         service_address(address)
+
+
+def test_no_text_of_a_service_raises():
+    """Frames with characters, entries and whole branches exchanged: merged or ignored, and a sample or none."""
+    rng, whole = np.random.default_rng(1), json.dumps(FIRST)
+    values = [None, True, 7, -1e308, "x", [], {}, [[]], {"x": {"x": {}}}, [{"device_id": "049D"}]]
+    state = state_after(FIRST)
+    for _ in range(3000):
+        text = bytearray(whole.encode())
+        for place in rng.integers(0, len(text), size=rng.integers(1, 4)):
+            text[place] = rng.integers(32, 127)
+        table = json.loads(whole)
+        branch = table
+        while isinstance(branch, dict | list) and branch and rng.random() < 0.9:
+            key = rng.choice(list(branch)) if isinstance(branch, dict) else int(rng.integers(len(branch)))
+            if not isinstance(branch[key], dict | list) or rng.random() < 0.3:
+                branch[key] = values[rng.integers(len(values))]
+                break
+            branch = branch[key]
+        for frame in (bytes(text), json.dumps(table)):
+            state.take(frame)
+            sample = state.sample()
+            assert sample is None or all(abs(each) < 1e6 for each in (*sample.position_m, *sample.quaternion))
+            assert isinstance(problem_of(state), str) and isinstance(state.model(), str)
 
 
 def changed(**status):

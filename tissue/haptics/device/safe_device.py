@@ -24,6 +24,8 @@ STALL_S = 0.05
 """How long a force is left on a device without another command [s]."""
 GIVE_UP_S = 1.0
 """How long a read or a command may take before the device counts as lost [s]."""
+OPENING_S = 10.0
+"""The same of opening a device, which may have to be searched, reached and woken [s]."""
 ANSWER_S = 0.2
 """How long a command of zero from a second thread, or a close, may take [s]."""
 OPENED = ", and give it without `with`: the run opens and closes it"
@@ -42,7 +44,7 @@ class SafeDevice:
     hold a device for many runs.
 
     A device that is not ``in_process`` may block. A thread that calls `stop_if_stuck` often sends zero once no command
-    came for `STALL_S`, and gives the device up once a call has lasted `GIVE_UP_S`.
+    came for `STALL_S`, and gives the device up once a call has lasted `GIVE_UP_S`, or opening it `OPENING_S`.
 
     Parameters
     ----------
@@ -183,9 +185,10 @@ class SafeDevice:
         if now - self._played > STALL_S:
             self.release()
         name, since = self._call
-        if now - since > GIVE_UP_S and self._lost is None:
+        limit, within = (OPENING_S, f"{OPENING_S:g} s") if name == "__enter__" else (GIVE_UP_S, "a tick")
+        if now - since > limit and self._lost is None:
             self._lost = DeviceError(
-                f"device.{name} must return within a tick, got no answer for {GIVE_UP_S:g} s: check the device and its "
+                f"device.{name} must return within {within}, got no answer for {limit:g} s: check the device and its "
                 f"cable{self._close()}"
             )
         return self._lost
