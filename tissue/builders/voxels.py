@@ -88,13 +88,9 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     low, high = _covered(region, bone, spacing)
     _require_memory(region, bone, spacing)
     voxels = partial(
-        voxelise,
-        anatomy,
-        spacing_m=spacing,
-        region_m=(low, high),
-        minus=_guide_hole(scene, motion),
+        voxelise, anatomy, spacing_m=spacing, region_m=(low, high), minus=_guide_hole(scene, motion),
         progress=lambda share: report("voxelising", share),
-    )
+    )  # fmt: skip
     if not is_procedural(parameters) or np.prod((high - low) / spacing) > MOST_KEPT:
         return voxels()
     start = motion.sweep_m()[0].tobytes(), motion.rotations()[0].tobytes()

@@ -259,10 +259,8 @@ class HandMotion(Motion):
         """The renderer's force of a tick in which nothing is played, shape (3,); without a sample that of the last."""
         if self._sample is not None:
             self._render(self._sample)
-        else:
-            self._contact.pause()
-            if self._speeds is not None:
-                self._speeds.pause()
+        elif self._speeds is not None:
+            self._speeds.pause()
         return self._raw
 
     def _render(self, sample: Sample) -> tuple[Array, Array]:

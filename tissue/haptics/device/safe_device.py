@@ -139,8 +139,7 @@ class SafeDevice:
         self._time_s = time_s
         if self._stop is not None:
             raise self._stop
-        start = perf_counter()
-        self._call = ("read", start)
+        self._call = "read", (start := perf_counter())
         try:  # as `_calling`, without the cost of a context manager in every tick
             sample = self.device.read(time_s)
         except Exception as error:
