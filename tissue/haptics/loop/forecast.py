@@ -110,7 +110,11 @@ def forecast_of(
     out = np.array([0.0, 0.0, 1.0]) if axis is None else np.asarray(axis, dtype=np.float64)
     try:
         contents = pickle.dumps(predictor)
-    except (TypeError, AttributeError, pickle.PicklingError):  # one of a user's own that cannot be compared with another
+    except (
+        TypeError,
+        AttributeError,
+        pickle.PicklingError,
+    ):  # one of a user's own that cannot be compared with another
         return _linearised(predictor, lead_ticks, stiffness_N_m, model_ticks, depth_m, out, gain)
     key = contents, lead_ticks, stiffness_N_m, model_ticks, depth_m, out.tobytes(), gain
     return _forecasts.of(
