@@ -24,7 +24,7 @@ HEARTBEAT_S = 5.0
 REPLACED = 4001
 """Code with which a page is closed that another one takes the place of."""
 POLICY = (
-    "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src 'self' blob:; "
+    "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src data:; "
     "connect-src ws://{home}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 """What the page may load: what stands in it, and its socket."""

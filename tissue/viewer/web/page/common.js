@@ -14,6 +14,8 @@ function send(what, values) {
 function showOver(words) {
   byId("over").textContent = words;
   byId("over").classList.add("shown");
+  byId("state").textContent = "ended";
+  byId("state").className = "state over";
   document.querySelectorAll("button, input, select").forEach((each) => { each.disabled = true; });
 }
 

@@ -1,7 +1,8 @@
 // Force over time: its size in black, its components after Okabe and Ito.
 "use strict";
 
-const CURVES = [["x", "#0072b2", 1], ["y", "#d55e00", 2], ["z", "#009e73", 3], ["magnitude", "#111111", 4]];
+// The magnitude lies below its components and is wider, so that one that is all of it is seen on it.
+const CURVES = [["magnitude", "#111111", 4], ["x", "#0072b2", 1], ["y", "#d55e00", 2], ["z", "#009e73", 3]];
 const FONT = "17px system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif";
 
 // The step of 1, 2 or 5 times a power of ten that gives about `count` marks.
@@ -52,7 +53,7 @@ class ForcePlot {
     pen.lineJoin = "round";
     for (const [, colour, place] of CURVES) {
       pen.strokeStyle = colour;
-      pen.lineWidth = place === 4 ? 2.6 : 1.6;
+      pen.lineWidth = place === 4 ? 4.5 : 1.8;
       pen.beginPath();
       for (const row of this.rows) pen.lineTo(x(row[0]), y(row[place]));
       pen.stroke();
