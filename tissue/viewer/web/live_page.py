@@ -190,4 +190,4 @@ class LivePage:
 
 
 if __name__ == "__main__":
-    serve(lambda: LivePage(Path(sys.argv[1])))
+    serve(lambda: LivePage(Path(sys.argv[1])), beside_ticks=True)

@@ -104,3 +104,5 @@ function drawLegend(entries, change) {
 }
 
 const fixed = (value, digits) => (Object.is(Math.round(value * 10 ** digits), -0) ? 0 : value).toFixed(digits);
+
+const newtonMetres = (torque) => (torque >= 1 ? `${fixed(torque, 2)} N·m` : `${fixed(1000 * torque, 1)} mN·m`);

@@ -3,6 +3,7 @@
 
 // The magnitude lies below its components and is wider, so that one that is all of it is seen on it.
 const CURVES = [["magnitude", "#111111", 4], ["x", "#0072b2", 1], ["y", "#d55e00", 2], ["z", "#009e73", 3]];
+const LEFT = 58, RIGHT = 12;
 const FONT = "17px system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif";
 
 // The step of 1, 2 or 5 times a power of ten that gives about `count` marks.
@@ -26,6 +27,13 @@ class ForcePlot {
     this.draw();
   }
 
+  // The time at a pixel from the left, or null beside the plot.
+  timeAt(pixel) {
+    const [left, right] = [LEFT, this.canvas.clientWidth - RIGHT], [first, last] = this.range || [0, 0];
+    if (pixel < left || pixel > right) return null;
+    return first + ((last - first) * (pixel - left)) / (right - left);
+  }
+
   draw() {
     const scale = window.devicePixelRatio || 1, wide = this.canvas.clientWidth, tall = this.canvas.clientHeight;
     if (wide < 80 || tall < 80) return;
@@ -34,12 +42,13 @@ class ForcePlot {
     const pen = this.canvas.getContext("2d");
     pen.scale(scale, scale);
     pen.font = FONT;
-    const left = 58, right = wide - 12, top = 34, low = tall - 54;
+    const left = LEFT, right = wide - RIGHT, top = 34, low = tall - 54;
     const [first, last] = this.range || [0, 8];
     let bottom = 0, above = 1;
     for (const row of this.rows) {
       for (let c = 1; c <= 4; c += 1) { bottom = Math.min(bottom, row[c]); above = Math.max(above, row[c]); }
     }
+    if (bottom > -0.03 * above) bottom = 0;
     const step = roundStep(above - bottom, Math.max(3, Math.floor((low - top) / 42)));
     bottom = step * Math.floor(bottom / step);
     above = step * Math.ceil(above / step);
