@@ -246,11 +246,12 @@ class ViewPage:
         trace = self._saved.trace
         if self.moment is not None and trace is not None:
             row = self.moment.row(self.time_s)
+            removed = trace.get("removed_mm3")
             kind = "model_torque" if "model_torque_x_Nm" in trace else "torque"
             figures |= {
                 "force_N": np.round(_force(self._saved)[row], 4).tolist(),
                 "torque_Nm": round(float(np.linalg.norm([trace[f"{kind}_{c}_Nm"][row] for c in "xyz"])), 6),
-                "removed_mm3": float(trace["removed_mm3"][row]) if "removed_mm3" in trace else None,
+                "removed_mm3": float(removed[row]) if removed is not None and removed[-1] > 0.0 else None,
                 "layer": str(trace["layer"][row]) if "layer" in trace else None,
             }
         return figures

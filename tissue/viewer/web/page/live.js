@@ -3,7 +3,7 @@
 
 const SECONDS = 8;
 const STATES = { running: "running", paused: "paused", resetting: "starting again" };
-const plot = new ForcePlot(byId("plot"));
+const plot = new ForcePlot(byId("plot"), 1);
 let rows = [], run = null, paused = false;
 
 function write(figures) {

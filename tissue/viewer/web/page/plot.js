@@ -13,8 +13,10 @@ function roundStep(span, count) {
 }
 
 class ForcePlot {
-  constructor(canvas) {
+  // `least` is the smallest force that fills it [N].
+  constructor(canvas, least) {
     this.canvas = canvas;
+    this.least = least;
     this.rows = [];
     this.cursor = null;
     this.range = null;
@@ -44,7 +46,7 @@ class ForcePlot {
     pen.font = FONT;
     const left = LEFT, right = wide - RIGHT, top = 34, low = tall - 54;
     const [first, last] = this.range || [0, 8];
-    let bottom = 0, above = 1;
+    let bottom = 0, above = this.least;
     for (const row of this.rows) {
       for (let c = 1; c <= 4; c += 1) { bottom = Math.min(bottom, row[c]); above = Math.max(above, row[c]); }
     }

@@ -1,7 +1,7 @@
 // The page of a saved run.
 "use strict";
 
-const plot = new ForcePlot(byId("plot"));
+const plot = new ForcePlot(byId("plot"), 0.01);
 let rows = [], span = [0, 1], playing = false, dragged = false;
 
 function drawScale(scale) {
