@@ -1,9 +1,10 @@
 """Who may see a page: requests to this machine's own address, with the token, from no other site."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from secrets import compare_digest, token_urlsafe
 
 from aiohttp import web
+from aiohttp.typedefs import Handler, Middleware
 
 __all__ = ["HOST", "SOCKET", "gate", "new_token", "refusal"]
 
@@ -19,8 +20,6 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 """Of every answer: nothing is kept, no other site embeds it, and the token in the address is not sent on."""
-
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 def new_token() -> str:
@@ -55,7 +54,7 @@ def refusal(*, host: str, origin: str | None, given: str, port: int, token: str,
     return None
 
 
-def gate(token: str, port: Callable[[], int]) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
+def gate(token: str, port: Callable[[], int]) -> Middleware:
     """Middleware that answers 403 to what `refusal` refuses; ``port`` is known once it is served."""
 
     @web.middleware

@@ -35,8 +35,11 @@ class Session(Protocol):
 
     kind: str
     """Which page it is: ``live`` or ``view``."""
-    over: bool
-    """Whether it has ended."""
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended."""
+        ...
 
     def hello(self) -> dict[str, Any]:
         """What a page that has just opened needs."""
