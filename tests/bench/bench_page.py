@@ -10,6 +10,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,7 +64,8 @@ async def take(address):
                 count += 1
                 while int(time.time()) % 2:
                     await asyncio.sleep(0.01)
-                await page.send_json({"do": "seen"})
+                with suppress(ConnectionError):  # the run has ended
+                    await page.send_json({"do": "seen"})
     print(count)
 
 

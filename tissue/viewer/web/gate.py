@@ -2,9 +2,12 @@
 
 from collections.abc import Callable
 from secrets import compare_digest, token_urlsafe
+from typing import TYPE_CHECKING
 
 from aiohttp import web
-from aiohttp.typedefs import Handler, Middleware
+
+if TYPE_CHECKING:
+    from aiohttp.typedefs import Handler, Middleware
 
 __all__ = ["HOST", "SOCKET", "gate", "new_token", "refusal"]
 
@@ -54,11 +57,11 @@ def refusal(*, host: str, origin: str | None, given: str, port: int, token: str,
     return None
 
 
-def gate(token: str, port: Callable[[], int]) -> Middleware:
+def gate(token: str, port: Callable[[], int]) -> "Middleware":
     """Middleware that answers 403 to what `refusal` refuses; ``port`` is known once it is served."""
 
     @web.middleware
-    async def judge(request: web.Request, handler: Handler) -> web.StreamResponse:
+    async def judge(request: web.Request, handler: "Handler") -> web.StreamResponse:
         why = refusal(
             host=request.headers.get("Host", ""),
             origin=request.headers.get("Origin"),
