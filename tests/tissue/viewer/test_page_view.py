@@ -72,7 +72,9 @@ def test_ctrl_c_ends_the_page_and_a_signal_the_command(child, tmp_path, stop):
 
 def test_a_page_is_refused_for_an_imported_bone_and_without_its_server(whole, tmp_path, monkeypatch):
     monkeypatch.setattr("tissue.viewer.view.is_imported", lambda path: True)
-    with pytest.raises(InputError, match=r"^web must be left out for an imported bone, which has no run: leave it out$"):
+    with pytest.raises(
+        InputError, match=r"^web must be left out for an imported bone, which has no run: leave it out$"
+    ):
         view(tmp_path, opened=print)
     monkeypatch.setattr("tissue.viewer.view.is_imported", lambda path: False)
     monkeypatch.setattr("tissue.simulation.live.page.find_spec", lambda name: None)
