@@ -7,7 +7,8 @@ from tissue import load_scene, simulate
 from tissue.figures.wall import draw_wall
 from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.tissues import BoneShared, OrganShared
-from tissue.viewer.live.pointer import KEY_MM, NOTCH_MM, Pointer
+from tissue.viewer.live.pointer import Pointer
+from tissue.viewer.live.target import KEY_MM, NOTCH_MM
 from tissue.viewer.live.tissue_shown import FADES_MM, LiveBone, LiveOrgan
 from tissue.viewer.run import faces_of
 
@@ -18,13 +19,10 @@ class Plotter:
     """A plotter that only remembers what it was given, so that no OpenGL is needed."""
 
     def __init__(self):
-        self.meshes, self.texts = {}, []
+        self.meshes = {}
 
     def add_mesh(self, mesh, name="mesh", **look):
         self.meshes[name] = mesh
-
-    def add_text(self, text, **look):
-        self.texts.append(text)
 
     def remove_actor(self, name, **options):
         del self.meshes[name]
@@ -150,7 +148,7 @@ def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch, block
     plotter = Plotter()
     bone = LiveBone(plotter, shared.start, arrays)
     names = run.volume.layer_names
-    assert plotter.texts == [n for i, n in enumerate(names) if (run.volume.fraction[run.volume.layer == i] > 0).any()]
+    assert list(bone.colours) == [n for i, n in enumerate(names) if (run.volume.fraction[run.volume.layer == i] > 0).any()]
     before = plotter.meshes["bone"].volume
     # A closed surface at half full holds the bone but for its rounded edges.
     assert before == pytest.approx(1e9 * milling.start_m3.sum(), rel=0.03)

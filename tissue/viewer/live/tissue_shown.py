@@ -11,7 +11,7 @@ from tissue.figures.style import layer_colours
 from tissue.simulation.bone_surface import bone_surface, smooth_normals, with_layers
 from tissue.simulation.live.shared import SharedArrays
 from tissue.viewer.bone import layer_look
-from tissue.viewer.plotter import Plotter, add_names
+from tissue.viewer.plotter import Plotter
 
 __all__ = ["LiveBone", "LiveOrgan", "live_tissue"]
 
@@ -46,6 +46,8 @@ class LiveBone:
     ----------
     points_mm
         Points that have to be seen [mm], shape (n, 3).
+    colours
+        Of the layers that there are by name, red, green and blue, 0 to 1.
     """
 
     def __init__(self, plotter: Plotter, start: Start, arrays: SharedArrays) -> None:
@@ -60,7 +62,7 @@ class LiveBone:
         colours, self._look = layer_colours(names), layer_look(names)
         self._fill(np.arange(len(self._places)))
         there = [names[i] for i in np.unique(layer[self._fraction > 0])]
-        add_names(plotter, {name: colours[name] for name in there})
+        self.colours = {name: colours[name] for name in there}
         self._draw()
         self.points_mm: Array = np.asarray(self._surface.points, dtype=np.float64)
 
@@ -109,11 +111,14 @@ class LiveOrgan:
     ----------
     points_mm
         Points that have to be seen [mm], shape (n, 3).
+    colours
+        None: it has but one.
     """
 
     def __init__(self, plotter: Plotter, start: Start, arrays: SharedArrays) -> None:
         import pyvista
 
+        self.colours: dict[str, tuple[float, float, float]] = {}
         self._arrays, self._turn = arrays, 0
         cells, nodes = start["cells"], 1e3 * start["nodes_m"].astype(np.float64)
         grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: cells[:, :4]}, nodes)
