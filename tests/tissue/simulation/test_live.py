@@ -86,6 +86,8 @@ def test_ctrl_c_ends_a_live_run_that_is_whole(tmp_path):
 class FakeWindow:
     """A window whose pointer goes 8 mm down at once, and that is closed after 600 ticks."""
 
+    paused = reset = False
+
     def __init__(self, scene, parts, columns, *, low_m, high_m):
         self.closed, self.box, self.shown, self._announced = False, (low_m, high_m), 0, False
 

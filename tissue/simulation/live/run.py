@@ -11,6 +11,7 @@ from types import FrameType
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.builders.device import opened_device, opens_device
 from tissue.builders.parts import Parts
@@ -19,6 +20,7 @@ from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.live.clock import BEHIND_S, WallClock
+from tissue.simulation.live.page import Page, require_web
 from tissue.simulation.live.window import WindowProcess
 from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import TICK_S, simulate
@@ -32,6 +34,8 @@ REPLACED_DEVICE = "touch"
 """Device whose numbers a mouse takes in a scene without one."""
 ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
 """How far from the scripted path the pointer may take the tool; a wall goes on for ever."""
+LOOK_S = 0.01
+"""Time between two looks while the run waits [s]."""
 LOOK_TICKS = 200
 """Ticks between two looks whether the window's process is still there and draws."""
 STALLED_S, HELD_S = 3.0, 60.0
@@ -41,8 +45,10 @@ ABOVE_M, BELOW_M = 0.02, 0.01
 presses as far as there is bone beyond what the script reaches."""
 
 
-def moved_by(scene: Scene) -> tuple[bool, str]:
+def moved_by(scene: Scene, *, web: bool = False) -> tuple[bool, str]:
     """Whether a live run of a scene opens a window and takes the mouse, and what moves the tool, in a sentence."""
+    if web:
+        return True, "the mouse moves the tool in a browser; it feels nothing, the force is shown"
     if opens_device(scene):
         return False, f"the device {scene.device} moves the tool and plays the force; no window"
     problem = display_problem()
@@ -62,6 +68,7 @@ def live(
     progress: Progress | None = None,
     allow_unstable: bool = False,
     duration_s: float | None = None,
+    opened: Callable[[str], object] | None = None,
 ) -> Run:
     """Simulate a scene against the wall clock, in a window with the mouse as device or, without a display, scripted.
 
@@ -79,15 +86,29 @@ def live(
     duration_s
         How long a run by the mouse lasts [s]; without it until the window is closed, 600 s at most. A scripted run
         lasts as long as its scene states.
+    opened
+        Show the run in a browser in place of a window, and call this once with the address of its page. The ticks wait
+        until the page is open. It can reset the run: then the same scene is simulated from its start once more, and
+        of the run before only the rows stay, until those of the next replace them.
 
     Raises
     ------
     InputError
-        As `tissue.simulate`, and if a display does not answer, or a window does not open on it, in time.
+        As `tissue.simulate`; if a display does not answer, or a window does not open on it, in time; and if a page is
+        asked for with a real device, which only works without a window, or it cannot be drawn or served.
     """
-    await_display()
-    by_mouse, note = moved_by(scene)
-    mouse = MouseDevice(_start_m(scene)) if by_mouse else None
+    page = None
+    if opened is None:
+        await_display()
+    else:
+        require_web()
+        if opens_device(scene):
+            raise InputError(
+                f"--web must be left out with a real device, which runs without any window, got {scene.device}: "
+                "leave it out, or set device = touch to use the mouse"
+            )
+        page = Page(opened)
+    by_mouse, note = moved_by(scene, web=page is not None)
     if by_mouse:
         device = REPLACED_DEVICE if scene.device == "none" else scene.device
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
@@ -95,19 +116,28 @@ def live(
         changes = {"device": device, "duration_s": duration_s or LONGEST_S, "coupling": coupling}
         scene = scene.model_copy(update=changes)
         cores = cores or max((os.cpu_count() or 2) - 1, 1)
-    device_held = mouse if by_mouse else opened_device(scene)
-    observer = LiveObserver(scene, mouse, WallClock(TICK_S))
-    run = simulate(
-        scene,
-        compute=compute,
-        cores=cores,
-        out=out,
-        overwrite=overwrite,
-        progress=progress,
-        allow_unstable=allow_unstable or by_mouse,
-        device=device_held,
-        observer=observer,
-    )
+    try:
+        while True:
+            mouse = MouseDevice(_start_m(scene)) if by_mouse else None
+            observer = LiveObserver(scene, mouse, WallClock(TICK_S), page)
+            run = simulate(
+                scene,
+                compute=compute,
+                cores=cores,
+                out=out,
+                overwrite=overwrite,
+                progress=progress,
+                allow_unstable=allow_unstable or by_mouse,
+                device=mouse if by_mouse else opened_device(scene),
+                observer=observer,
+            )
+            if not observer.reset:
+                break
+            run.discard("reset")
+            overwrite = True
+    finally:
+        if page is not None:
+            page.close()
     run.parts.notes["live"] = note
     if mouse is not None:
         run.parts.notes["coupling"] = f"a mouse in place of the {scene.device} and its hand, " + scene.renderer
@@ -125,12 +155,20 @@ class LiveObserver:
         The device that the window's pointer moves; None for no window.
     clock
         The clock that paces it.
+    page
+        Page that shows it in place of a window on the display, and outlives it.
+
+    Attributes
+    ----------
+    reset
+        Whether a person wants the same scene once more from its start.
     """
 
     timing_columns: tuple[str, ...] = ("late_us", "skipped_us")
 
-    def __init__(self, scene: Scene, mouse: MouseDevice | None, clock: WallClock) -> None:
-        self._scene, self._mouse, self._clock = scene, mouse, clock
+    def __init__(self, scene: Scene, mouse: MouseDevice | None, clock: WallClock, page: Page | None = None) -> None:
+        self._scene, self._mouse, self._clock, self._page = scene, mouse, clock, page
+        self.reset = False
         self._window: WindowProcess | None = None
         self._stopped, self._missed, self._skipped_s = False, 0, 0.0
         self._events: list[tuple[float, str]] = []
@@ -142,14 +180,18 @@ class LiveObserver:
         """Open the window; from here on Ctrl-C ends the run after its tick."""
         if self._mouse is not None:
             low, high = _box(self._scene, parts)
-            self._window = WindowProcess(self._scene, parts, columns, low_m=low, high_m=high)
+            show = WindowProcess if self._page is None else self._page.show
+            self._window = show(self._scene, parts, columns, low_m=low, high_m=high)
         if threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGINT, self._stop)
 
     def before_tick(self, index: int) -> None:
-        """Wait until a tick is due, and for a window that hangs; take what the pointer wants by then."""
-        if self._window is not None and index % LOOK_TICKS == 0:
-            self._hold(self._window, index)
+        """Wait until a tick is due, while it is paused and for a window that hangs; take what the pointer wants."""
+        if self._window is not None:
+            if self._window.paused:
+                self._pause(self._window, index)
+            if index % LOOK_TICKS == 0:
+                self._hold(self._window, index)
         self._clock.wait(index)
         if self._window is not None and self._mouse is not None:
             pointed = self._window.pointed_m()
@@ -174,7 +216,19 @@ class LiveObserver:
         if index % LOOK_TICKS == 0 and (words := self._window.failed()) is not None:
             self._events.append((float(row[0]), f"the window ended by itself, and the run with it: {words}"))
             self._stopped = True
-        return not (self._stopped or self._window.closed)
+        self.reset = self._window.reset and not (self._stopped or self._window.closed)
+        return not (self._stopped or self._window.closed or self.reset)
+
+    def _pause(self, window: WindowProcess, index: int) -> None:
+        """Let the run wait as long as a person wants."""
+        began = perf_counter()
+        while window.paused and not (self._stopped or window.closed or window.reset) and window.failed() is None:
+            sleep(LOOK_S)
+        now = perf_counter()
+        self._clock.hold(now - began)
+        self._drawn_s = now
+        if index > 0:
+            self._events.append((index * TICK_S, f"the run was paused for {now - began:.1f} s"))
 
     def _hold(self, window: WindowProcess, index: int) -> None:
         """Let the run wait while its window draws nothing: nobody could see or move the tool."""
@@ -186,7 +240,7 @@ class LiveObserver:
         while window.frames == self._frames and now - began < HELD_S and not self._stopped and not window.closed:
             if window.failed() is not None:
                 break
-            sleep(0.01)
+            sleep(LOOK_S)
             now = perf_counter()
         self._clock.hold(now - began)
         self._drawn_s, waited_s = now, now - began
@@ -201,9 +255,9 @@ class LiveObserver:
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)
             self._handler = None
-        if self._window is not None:
+        if self._window is not None and self._page is None:
             self._window.end()
-            self._window = None
+        self._window = None
         return self._events
 
     def _stop(self, number: int, frame: FrameType | None) -> None:

@@ -98,9 +98,7 @@ class LiveWindow:
         if read.removed_mm3 > 0.0:
             words.append(f"removed {read.removed_mm3:.2f} mm³")
         self._words.input = ", ".join(words)
-        clock = (
-            f"tick {read.tick_us:.0f} µs, {read.late_us:.0f} µs late; {read.missed:.0f} deadlines of 1 ms missed"
-        )
+        clock = f"tick {read.tick_us:.0f} µs, {read.late_us:.0f} µs late; {read.missed:.0f} deadlines of 1 ms missed"
         self._clock.input = f"{clock}, {read.skipped_ms:.0f} ms skipped" if read.skipped_ms > 0.0 else clock
 
     def _close(self, *_: object) -> None:

@@ -48,7 +48,7 @@ class Readings:
 
     @classmethod
     def of(cls, row: Array, places: dict[str, int]) -> "Readings":
-        """Read a row, whose columns lie at ``places``: those of the trace, then `tissue.simulation.live.window.CLOCK`."""
+        """Read a row with columns at ``places``: those of the trace, then `tissue.simulation.live.window.CLOCK`."""
 
         def vector(name: str, unit: str) -> Array:
             return row[[places[f"{name}_{c}_{unit}"] for c in "xyz"]]
