@@ -164,8 +164,7 @@ class IgtlServer:
         except (OSError, OverflowError) as error:
             why = getattr(error, "strerror", None) or "no port"
             raise InputError(
-                f"--slicer-port must be a free port of {host}, got {port} ({why}): end the program that has it, or "
-                "give another"
+                f"port must be a free port of {host}, got {port} ({why}): end the program that has it, or give another"
             ) from None
         self._listener.setblocking(False)
         self._selector = selectors.DefaultSelector()

@@ -168,7 +168,7 @@ def test_more_clients_than_there_is_place_for_are_refused(server, monkeypatch):
 
 def test_a_port_that_is_taken_is_refused_in_a_sentence(server):
     port = server.address[1]
-    with pytest.raises(InputError, match=rf"--slicer-port must be a free port of 127\.0\.0\.1, got {port} \(.*\): end"):
+    with pytest.raises(InputError, match=rf"port must be a free port of 127\.0\.0\.1, got {port} \(.*\): end"):
         IgtlServer(port)
     with pytest.raises(InputError, match=r"got 70000 \(no port\)"):
         IgtlServer(70000)
