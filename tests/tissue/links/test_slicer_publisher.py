@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from fake_fields import pressed_series
 from igtl_client import IgtlClient
 
 from meshes.base.placement import Placement
@@ -13,7 +14,7 @@ from tissue.links import slicer_process
 from tissue.links.slicer_frame import SlicerFrame
 from tissue.links.slicer_process import Publisher
 from tissue.simulation.live.shared import SharedArrays
-from tissue.simulation.live.tissues import BoneShared, NothingShared
+from tissue.simulation.live.tissues import BoneShared, NothingShared, OrganShared
 from tissue.simulation.live.window import CLOCK
 
 pytest.importorskip("pyvista")
@@ -86,8 +87,9 @@ def stage(tmp_path):
     """Makes stages, and closes them."""
     made = []
 
-    def make(run, **options):
-        shared = NothingShared() if run.parts.volume is None else BoneShared(run.parts.tissue, run.volume)
+    def make(run, shared=None, **options):
+        if shared is None:
+            shared = NothingShared() if run.parts.volume is None else BoneShared(run.parts.tissue, run.volume)
         made.append(Stage(tmp_path, run, shared, **options))
         return made[-1]
 
@@ -221,6 +223,33 @@ def test_a_surface_is_sent_when_it_has_changed_and_to_late_clients(stage, milled
     left[:] = 0
     client.until(lambda: len(client.of("tissue-anatomy")) == 3, poll=shown.publisher.step)
     assert not len(client.of("tissue-anatomy")[2]["triangles"])
+
+
+def test_an_organs_surface_moves(stage, pressed, monkeypatch):
+    monkeypatch.setattr(slicer_process, "SURFACE_S", 0.02)
+    series = pressed_series()
+    touchable = np.flatnonzero(series.nodes_m[:, 2] == 0.0)
+    series.node_sets["touchable"] = touchable
+
+    class Organ:
+        fields, moved = series, np.zeros((len(touchable), 3))
+
+        def displacement_m(self):
+            return self.moved
+
+    shown = stage(pressed, OrganShared(Organ()), placement=PLACEMENT)
+    client = shown.client()
+    client.until(lambda: client.of("tissue-anatomy"), poll=shown.publisher.step)
+    Organ.moved[:] = 0.0, 0.0, -2e-3
+    shown.shared.publish(shown.arrays, 0)
+    client.until(lambda: len(client.of("tissue-anatomy")) == 2, poll=shown.publisher.step)
+    before, after = client.of("tissue-anatomy")
+    np.testing.assert_array_equal(before["triangles"], after["triangles"])
+    assert before["values"] == {} and before["triangles"].max() < len(before["points"])
+    # The surface that can be touched has moved 2 mm inwards, in RAS.
+    moved = (after["points"] - before["points"]) @ (LPS_TO_RAS[:3, :3] @ PLACEMENT.rotation)
+    assert moved[:, 2].min() == pytest.approx(-2.0, abs=1e-4)
+    np.testing.assert_allclose(moved[:, :2], 0.0, atol=1e-4)
 
 
 def test_the_end_of_a_run_is_sent_with_what_came_before_it(stage, pressed):
