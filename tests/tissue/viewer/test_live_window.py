@@ -6,10 +6,11 @@ import pytest
 from tissue import load_scene, simulate
 from tissue.figures.wall import draw_wall
 from tissue.simulation.live.shared import SharedArrays
+from tissue.simulation.live.surfaces import FADES_MM, BoneSurface, OrganSurface
 from tissue.simulation.live.tissues import BoneShared, OrganShared
 from tissue.viewer.live.pointer import Pointer
 from tissue.viewer.live.target import KEY_MM, NOTCH_MM
-from tissue.viewer.live.tissue_shown import FADES_MM, LiveBone, LiveOrgan
+from tissue.viewer.live.tissue_shown import LiveBone, LiveOrgan
 from tissue.viewer.run import faces_of
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -146,7 +147,7 @@ def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch, block
     arrays = SharedArrays(tmp_path, shared.layout)
     shared.publish(arrays, 0)
     plotter = Plotter()
-    bone = LiveBone(plotter, shared.start, arrays)
+    bone = LiveBone(plotter, BoneSurface(shared.start, arrays))
     names = run.volume.layer_names
     assert list(bone.colours) == [
         n for i, n in enumerate(names) if (run.volume.fraction[run.volume.layer == i] > 0).any()
@@ -190,7 +191,7 @@ def test_the_drawn_organ_moves_where_it_is_known_and_fades_beyond(tmp_path):
     shared = OrganShared(organ)
     arrays = SharedArrays(tmp_path, shared.layout)
     plotter = Plotter()
-    drawn = LiveOrgan(plotter, shared.start, arrays)
+    drawn = LiveOrgan(plotter, OrganSurface(shared.start, arrays))
     rest = np.array(plotter.meshes["mesh"].points)
     assert not drawn.update()
     organ.moved[:] = (0.0, 0.0, -2e-3)

@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from time import perf_counter, sleep
 from types import FrameType
@@ -21,6 +22,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.live.clock import BEHIND_S, WallClock
 from tissue.simulation.live.page import Page, require_web
+from tissue.simulation.live.slicer import SlicerLink, SlicerObserver, require_link
 from tissue.simulation.live.window import WindowProcess
 from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import TICK_S, simulate
@@ -45,8 +47,10 @@ ABOVE_M, BELOW_M = 0.02, 0.01
 presses as far as there is bone beyond what the script reaches."""
 
 
-def moved_by(scene: Scene, *, web: bool = False) -> tuple[bool, str]:
-    """Whether a live run of a scene opens a window and takes the mouse, and what moves the tool, in a sentence."""
+def moved_by(scene: Scene, *, web: bool = False, slicer: bool = False) -> tuple[bool, str]:
+    """Whether a person moves the tool of a live run by a pointer or in 3D Slicer, and what moves it, in a sentence."""
+    if slicer:
+        return True, "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the force is sent"
     if web:
         return True, "the mouse moves the tool in a browser; it feels nothing, the force is shown"
     if opens_device(scene):
@@ -69,6 +73,7 @@ def live(
     allow_unstable: bool = False,
     duration_s: float | None = None,
     opened: Callable[[str], object] | None = None,
+    slicer: SlicerLink | None = None,
 ) -> Run:
     """Simulate a scene against the wall clock, in a window with the mouse as device or, without a display, scripted.
 
@@ -90,17 +95,24 @@ def live(
         Show the run in a browser in place of a window, and call this once with the address of its page. The ticks wait
         until the page is open. It can reset the run: then the same scene is simulated from its start once more, and
         of the run before only the rows stay, until those of the next replace them.
+    slicer
+        Publish the run for 3D Slicer beside that, see `docs/guide/slicer.md`; where it also drives the tool, no window
+        opens.
 
     Raises
     ------
     InputError
         As `tissue.simulate`; if a display does not answer, or a window does not open on it, in time; and if a page is
-        asked for with a real device, which only works without a window, or it cannot be drawn or served.
+        asked for with a real device, which only works without a window, or it cannot be drawn or served. If the port
+        for 3D Slicer is taken, or something else moves the tool.
     """
     page = None
-    if opened is None:
+    by_slicer = slicer is not None and slicer.drives
+    if slicer is not None:
+        require_link(slicer, scene, web=opened is not None)
+    if opened is None and not by_slicer:
         await_display()
-    else:
+    elif opened is not None:
         require_web()
         if opens_device(scene):
             raise InputError(
@@ -108,7 +120,7 @@ def live(
                 "leave it out, or set device = touch to use the mouse"
             )
         page = Page(opened)
-    by_mouse, note = moved_by(scene, web=page is not None)
+    by_mouse, note = moved_by(scene, web=page is not None, slicer=by_slicer)
     if by_mouse:
         device = REPLACED_DEVICE if scene.device == "none" else scene.device
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
@@ -119,7 +131,11 @@ def live(
     try:
         while True:
             mouse = MouseDevice(_start_m(scene)) if by_mouse else None
-            observer = LiveObserver(scene, mouse, WallClock(TICK_S), page)
+            observer = LiveObserver(scene, None if by_slicer else mouse, WallClock(TICK_S), page)
+            linked = None
+            if slicer is not None:
+                moved = mouse if by_slicer else None
+                linked = SlicerObserver(scene, observer, slicer, box=partial(_box, scene), mouse=moved)
             run = simulate(
                 scene,
                 compute=compute,
@@ -129,7 +145,7 @@ def live(
                 progress=progress,
                 allow_unstable=allow_unstable or by_mouse,
                 device=mouse if by_mouse else opened_device(scene),
-                observer=observer,
+                observer=linked or observer,
             )
             if not observer.reset:
                 break
@@ -139,8 +155,11 @@ def live(
         if page is not None:
             page.close()
     run.parts.notes["live"] = note
+    if linked is not None:
+        run.parts.notes["slicer"] = linked.note
     if mouse is not None:
-        run.parts.notes["coupling"] = f"a mouse in place of the {scene.device} and its hand, " + scene.renderer
+        held = "a pose from 3D Slicer" if by_slicer else "a mouse"
+        run.parts.notes["coupling"] = f"{held} in place of the {scene.device} and its hand, " + scene.renderer
     return run
 
 

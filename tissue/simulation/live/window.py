@@ -56,6 +56,8 @@ class WindowProcess:
         Corners of the box in which the pointer may move the tool [m].
     environment
         What its process has in its environment beside what this one has.
+    more_layout, more_start
+        Further arrays that both sides see, and further ones that its process needs to begin with.
 
     Attributes
     ----------
@@ -83,6 +85,8 @@ class WindowProcess:
         low_m: NDArray[np.float64],
         high_m: NDArray[np.float64],
         environment: Mapping[str, str] | None = None,
+        more_layout: Layout | None = None,
+        more_start: Mapping[str, AnyArray] | None = None,
     ) -> None:
         self._folder = _new_folder()
         self._shared = shared_tissue(parts)
@@ -100,7 +104,7 @@ class WindowProcess:
             "resets": ("int64", (1,)),
             "runs": ("int64", (1,)),
         }
-        self.arrays = SharedArrays(self._folder, layout | self._shared.layout)
+        self.arrays = SharedArrays(self._folder, layout | self._shared.layout | (more_layout or {}))
         self._row = np.zeros(len(columns) + len(CLOCK))
         self._turn, self._closed = self.arrays["pointer_turn"], self.arrays["closed"]
         self._drawn, self._held, self._resets = (self.arrays[name] for name in ("frames", "paused", "resets"))
@@ -113,7 +117,7 @@ class WindowProcess:
         (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
         turn = parts.motion.rotations()[0]
         box = {"low_m": low_m, "high_m": high_m, "start_m": parts.motion.sweep_m()[0], "axis": turn[:, 2]}
-        start: dict[str, AnyArray] = {**box, **self._shared.start}
+        start: dict[str, AnyArray] = {**box, **self._shared.start, **(more_start or {})}
         np.savez(self._folder / "start.npz", allow_pickle=False, **start)
         self._shared.publish(self.arrays, 0)
         with (self._folder / "output.txt").open("w+", encoding="utf-8", errors="replace") as output:
