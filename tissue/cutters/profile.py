@@ -125,6 +125,9 @@ class Profile:
     pieces: tuple[Piece, ...]
     convex: bool
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pieces", tuple(self.pieces))  # what is made of a profile is kept by it
+
     @property
     def outline(self) -> Array:
         """Corner points, shape (n, 2): radius and height [m]."""

@@ -282,7 +282,10 @@ def test_published_devices_are_complete_and_cited(name):
 
 
 def test_unusable_devices_are_refused():
-    with pytest.raises(InputError, match="device must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, got falcon"):
+    with pytest.raises(
+        InputError,
+        match="device must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, got falcon",
+    ):
         device_parameters("falcon")
     with pytest.raises(InputError, match="mass_kg must be positive"):
         DeviceParameters(mass_kg=0.0, damping_N_s_m=0.1)

@@ -125,9 +125,9 @@ def intensity_ratios(skin_N: Array, nearest_N: Array, ideal_N: Array, person: Ob
     Returns
     -------
     dict
-        ``ratio_error`` of the force at the skin; ``ratio_floor`` of a perfect force through the same encoder steps, as
-        the reference feels it; ``ratio_unscaled`` of the ideal force as this person feels it, by their exponent alone;
-        ``ratio_silent`` where nothing changes at the skin.
+        The spread of the force at the skin, and those of a perfect force through the same encoder steps as the
+        reference feels it, of the ideal force as this person's exponent alone has it, and of a force that never
+        changes.
     """
     count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
     sizes = np.linalg.norm(ideal_N, axis=1)

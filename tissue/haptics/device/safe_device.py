@@ -1,7 +1,7 @@
 """A device as a loop holds it: entered, timed, limited in how fast its force changes, and never left pushing."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from math import inf
 from time import perf_counter, sleep
@@ -15,6 +15,7 @@ from meshes.base.errors import InputError
 from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample, StatesPlayed
 from tissue.haptics.loop.filters import SlewLimit
 from tissue.models.tissue_model import TICK_S
+from tissue.system.timeout import returned_within
 
 __all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice"]
 
@@ -204,7 +205,7 @@ class SafeDevice:
         if self._lock.acquire(timeout=ANSWER_S):
             try:
                 self._force.value, self._torque.value = np.zeros(3), np.zeros(3)
-                sent = _within(ANSWER_S, lambda: self.device.command(np.zeros(3), np.zeros(3)))
+                sent = returned_within(ANSWER_S, lambda: self.device.command(np.zeros(3), np.zeros(3)))
             finally:
                 self._lock.release()
             if sent:
@@ -279,7 +280,11 @@ class SafeDevice:
         self._closed = True
         if self._holder is not None:
             self._holder._closed = True
-        return "; it was closed" if _within(ANSWER_S, close) else "; it did not close and may still push, switch it off"
+        return (
+            "; it was closed"
+            if returned_within(ANSWER_S, close)
+            else "; it did not close and may still push, switch it off"
+        )
 
     def _failed(self, name: str, error: Exception) -> DeviceError:
         """An exception of the device as one sentence."""
@@ -290,16 +295,3 @@ class SafeDevice:
             f"device.{name} must not fail, got {type(error).__name__}{f' ({message})' if message else ''} at "
             f"{self._time_s:.3f} s: check the device and its cable{OPENED if name == '__enter__' else ''}"
         )
-
-
-def _within(seconds: float, call: Callable[[], object]) -> bool:
-    """Whether a call, made in a thread of its own that is left behind if it blocks, returned in time without error."""
-    returned = threading.Event()
-
-    def work() -> None:
-        with suppress(Exception):
-            call()
-            returned.set()
-
-    threading.Thread(target=work, daemon=True, name="device").start()
-    return returned.wait(seconds)
