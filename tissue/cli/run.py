@@ -62,7 +62,8 @@ def run(
     cores
         Processor cores to use; default all. The trace does not depend on it.
     format_
-        Further formats of the trace beside CSV: parquet, npz, mat, h5; may be repeated.
+        Further formats beside CSV: parquet, npz, mat, h5 of the trace, or recording, HDF5 in volumetric_drilling's
+        layout; may be repeated.
     pictures
         Format of the pictures: png, svg or pdf. In svg and pdf lines and text stay such, and what is shown in 3D is an
         image of 400 pixels an inch.

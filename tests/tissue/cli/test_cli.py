@@ -57,7 +57,7 @@ from tissue.scene.load import scene_names
         (("run", "milling", "--cores", "0"), "cores must be at least 1, got 0: leave it out to use all"),
         (
             ("run", "milling", "--format", "xlsx"),
-            "format must be one of parquet, npz, mat, h5, got xlsx: csv is always written",
+            "format must be one of parquet, npz, mat, h5, recording, got xlsx: csv is always written",
         ),
         (
             ("run", "milling", "--pictures", "jpeg"),
