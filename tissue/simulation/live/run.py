@@ -23,6 +23,7 @@ from tissue.simulation.live.window import WindowProcess
 from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import TICK_S, simulate
 from tissue.system.offscreen import await_display, display_problem
+from tissue.system.tick_priority import TickPriority
 
 __all__ = ["LiveObserver", "live", "moved_by"]
 
@@ -34,6 +35,8 @@ ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
 """How far from the scripted path the pointer may take the tool; a wall goes on for ever."""
 LOOK_TICKS = 200
 """Ticks between two looks whether the window's process is still there and draws."""
+FULL = 0.9
+"""Share of the time that ticks may take at a raised priority: Linux stops what takes 95 % of a second for the rest."""
 STALLED_S, HELD_S = 3.0, 60.0
 """How long a window may draw nothing before the run waits for it, and how long it waits [s]."""
 ABOVE_M, BELOW_M = 0.02, 0.01
@@ -68,8 +71,9 @@ def live(
     A device that was registered with what opens the real one is held, without a window. Else the tool hangs on the
     mouse as on the scene's device, by the same spring, and the forces that the device would play are in the trace and
     shown; in a scene without a device a mouse acts as a touch. A tick has missed its deadline if it is not done within
-    1 ms of when it was due. See `WallClock` for what happens when the ticks fall behind. Ctrl-C or closing the window
-    ends the run, and what there is of it is a run like any other.
+    1 ms of when it was due. See `WallClock` for what happens when the ticks fall behind. The ticks have a raised
+    priority as far as the system grants one, see `TickPriority`; the note ``priority`` states it. Ctrl-C or closing the
+    window ends the run, and what there is of it is a run like any other.
 
     Parameters
     ----------
@@ -96,7 +100,7 @@ def live(
         scene = scene.model_copy(update=changes)
         cores = cores or max((os.cpu_count() or 2) - 1, 1)
     device_held = mouse if by_mouse else opened_device(scene)
-    observer = LiveObserver(scene, mouse, WallClock(TICK_S))
+    observer = LiveObserver(scene, mouse, WallClock(TICK_S), TickPriority())
     run = simulate(
         scene,
         compute=compute,
@@ -109,6 +113,7 @@ def live(
         observer=observer,
     )
     run.parts.notes["live"] = note
+    run.parts.notes["priority"] = observer.granted
     if mouse is not None:
         run.parts.notes["coupling"] = f"a mouse in place of the {scene.device} and its hand, " + scene.renderer
     return run
@@ -125,12 +130,22 @@ class LiveObserver:
         The device that the window's pointer moves; None for no window.
     clock
         The clock that paces it.
+    priority
+        Priority of the ticks; None leaves it as it is.
+
+    Attributes
+    ----------
+    granted
+        The priority that the ticks ran at, in words.
     """
 
     timing_columns: tuple[str, ...] = ("late_us", "skipped_us")
 
-    def __init__(self, scene: Scene, mouse: MouseDevice | None, clock: WallClock) -> None:
+    def __init__(
+        self, scene: Scene, mouse: MouseDevice | None, clock: WallClock, priority: TickPriority | None = None
+    ) -> None:
         self._scene, self._mouse, self._clock = scene, mouse, clock
+        self._priority, self.granted, self._busy_us = priority, "", 0.0
         self._window: WindowProcess | None = None
         self._stopped, self._missed, self._skipped_s = False, 0, 0.0
         self._events: list[tuple[float, str]] = []
@@ -148,6 +163,9 @@ class LiveObserver:
 
     def before_tick(self, index: int) -> None:
         """Wait until a tick is due, and for a window that hangs; take what the pointer wants by then."""
+        if index == 0 and self._priority is not None:  # here, for the ticks may have a thread of their own
+            self._priority.begin()
+            self.granted = self._priority.granted
         if self._window is not None and index % LOOK_TICKS == 0:
             self._hold(self._window, index)
         self._clock.wait(index)
@@ -161,6 +179,9 @@ class LiveObserver:
         """Write lateness into a tick's row of timing and show the tick; whether the run goes on."""
         late, skipped = 1e6 * self._clock.late_s, 1e6 * self._clock.skipped_s
         times[-2:] = late, skipped
+        self._busy_us += times[0]
+        if index % LOOK_TICKS == 0:
+            self._relent(float(row[0]))
         self._missed += times[0] + late > DEADLINE_US
         if skipped > 0.0:
             if self._skipped_s == 0.0:
@@ -175,6 +196,14 @@ class LiveObserver:
             self._events.append((float(row[0]), f"the window ended by itself, and the run with it: {words}"))
             self._stopped = True
         return not (self._stopped or self._window.closed)
+
+    def _relent(self, time_s: float) -> None:
+        """Give the raised priority back where the ticks would leave nothing to others."""
+        if self._priority is not None and self._busy_us > FULL * 1e6 * LOOK_TICKS * TICK_S:
+            self._priority.end()
+            self._priority = None
+            self._events.append((time_s, f"the ticks take over {FULL:.0%} of the time: at ordinary priority from here"))
+        self._busy_us = 0.0
 
     def _hold(self, window: WindowProcess, index: int) -> None:
         """Let the run wait while its window draws nothing: nobody could see or move the tool."""
@@ -197,7 +226,9 @@ class LiveObserver:
             self._events.append((index * TICK_S, f"the window drew nothing: the run waited {waited_s:.1f} s for it"))
 
     def on_end(self) -> list[tuple[float, str]]:
-        """Close the window and leave Ctrl-C as it was; what has happened, as `Motion.happened`."""
+        """Close the window and leave Ctrl-C and priority as they were; what has happened, as `Motion.happened`."""
+        if self._priority is not None:
+            self._priority.end()
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)
             self._handler = None
