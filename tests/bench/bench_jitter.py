@@ -19,11 +19,12 @@ from harness import machine, table  # noqa: E402
 
 from tissue import load_scene, simulate  # noqa: E402
 from tissue.simulation.live.clock import WallClock  # noqa: E402
+from tissue.simulation.live.prioritised import Prioritised  # noqa: E402
 from tissue.simulation.live.run import LiveObserver  # noqa: E402
 from tissue.simulation.simulate import TICK_S  # noqa: E402
-from tissue.system.tick_priority import TickPriority  # noqa: E402
 
 TURN_S = 10.0
+ORDINARY = "ordinary priority"
 COUNT = "while True:\n    pass"
 
 
@@ -33,14 +34,15 @@ def ticks_of(raised, loaded):
     busy = [subprocess.Popen([sys.executable, "-c", COUNT]) for _ in range(count if loaded else 0)]
     try:
         scene = load_scene("wall", {"duration_s": TURN_S})
-        observer = LiveObserver(scene, None, WallClock(TICK_S), TickPriority() if raised else None)
-        run = simulate(scene, observer=observer)
+        observer = LiveObserver(scene, None, WallClock(TICK_S))
+        along = Prioritised(observer) if raised else observer
+        run = simulate(scene, observer=along)
     finally:
         for process in busy:
             process.kill()
             process.wait()
     timing = run.timing
-    return timing["late_us"], timing["tick_us"], 1e-3 * timing["skipped_us"].sum(), observer.granted
+    return timing["late_us"], timing["tick_us"], 1e-3 * timing["skipped_us"].sum(), along.note if raised else ORDINARY
 
 
 def main():
@@ -56,12 +58,12 @@ def main():
         for loaded, raised in kinds:
             found[loaded, raised].append(ticks_of(raised, loaded))
     rows = []
-    for (loaded, raised), parts in found.items():
+    for (loaded, _), parts in found.items():
         late, tick = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         figures = [*np.percentile(late, (50.0, 99.0, 99.9)), late.max()]
         rows.append((
             "busy on every core" if loaded else "as it is",
-            parts[0][3] if raised else "ordinary priority",
+            parts[0][3],
             *(f"{each:.0f}" for each in figures),
             f"{int((late + tick > 1e6 * TICK_S).sum())} of {len(late)}",
             f"{sum(part[2] for part in parts):.0f}",

@@ -38,6 +38,8 @@ def run(
     scheduler: str | None = None,
     each_run: Annotated[bool, Parameter(negative="")] = False,
     live: Annotated[bool, Parameter(negative="")] = False,
+    web: Annotated[bool, Parameter(negative="")] = False,
+    ros2: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -79,6 +81,10 @@ def run(
         Run every sample of a band where reweighing the loads would do, so that temperature and stress have bands too.
     live
         Run against the wall clock, in a window with mouse and keys as device, or without a display scripted.
+    web
+        With --live: in a browser on this machine, at an address that is printed, in place of a window.
+    ros2
+        With --live: publish pose, velocity and force on topics of ROS 2, /tissue/measured_cp and so on.
     overwrite
         Replace the run that the folder already holds.
     allow_unstable
@@ -92,9 +98,11 @@ def run(
         check_format(kind)
     picture_format(pictures)
     overrides = _overrides(set_, fidelity, duration_s=duration_s)
-    loaded = _load(scene, overrides, live=live)
+    _refuse_web(web, live=live)
+    left_out("without --live", "give --live", ros2=ros2 and not live)
+    loaded = _load(scene, overrides, live=live, web=web)
     if seed is not None and (band is None or loaded.device != "none"):  # without a device it is that of a band alone
-        loaded = _load(scene, overrides | {"seed": seed}, live=live)
+        loaded = _load(scene, overrides | {"seed": seed}, live=live, web=web)
     _refuse_unused(loaded, live=live, compute=compute, cores=cores, allow_unstable=allow_unstable)
     if band is not None:
         left_out("with --live", "run the scene without it", band=band if live else None)
@@ -111,7 +119,7 @@ def run(
         "compute": compute, "cores": cores, "out": folder, "overwrite": overwrite, "allow_unstable": allow_unstable,
     }  # fmt: skip
     with _naming_stop(folder):
-        finished = _simulated(loaded, settings, live=live, duration_s=duration_s)
+        finished = _simulated(loaded, settings, live=live, web=web, ros2=ros2, duration_s=duration_s)
         simulated = perf_counter()
         with progress() as report:
             finished.save(folder, formats=format_, pictures=False if no_pictures else pictures, progress=report)
@@ -138,12 +146,23 @@ def _overrides(changes: Sequence[str], fidelity: Sequence[str], *, duration_s: f
     return overrides
 
 
-def _load(scene: str, overrides: dict[str, Any], *, live: bool) -> "Scene":
-    """The scene; a live one is moved by a window where there is a display."""
+def _load(scene: str, overrides: dict[str, Any], *, live: bool, web: bool) -> "Scene":
+    """The scene; a live one is moved by a page, or by a window where there is a display."""
     from tissue.scene.load import load_scene
     from tissue.system.offscreen import await_display
 
-    return load_scene(scene, overrides, live=live and await_display() is None)
+    return load_scene(scene, overrides, live=live and (web or await_display() is None))
+
+
+def _refuse_web(web: bool, *, live: bool) -> None:
+    """Refuse a page for a run that is not live, or that nobody can serve."""
+    left_out(
+        "without --live", "give --live, or see a run that has ended by `tissue view DIR --web`", web=web and not live
+    )
+    if web:
+        from tissue.simulation.live.page import require_web
+
+        require_web()
 
 
 def _refuse_unused(scene: "Scene", *, live: bool, compute: str, cores: int | None, allow_unstable: bool) -> None:
@@ -155,7 +174,9 @@ def _refuse_unused(scene: "Scene", *, live: bool, compute: str, cores: int | Non
         left_out(f"for a {scene.anatomy.kind}, which no kernel computes", "remove it", cores=cores, compute=there)
 
 
-def _simulated(scene: "Scene", settings: "_Settings", *, live: bool, duration_s: float | None) -> "Run":
+def _simulated(
+    scene: "Scene", settings: "_Settings", *, live: bool, web: bool, ros2: bool, duration_s: float | None
+) -> "Run":
     """The finished run, with its settings chosen where a fidelity is asked for."""
     chosen: dict[str, str] = {}
     # Live no progress bar: what draws it takes the interpreter from the ticks.
@@ -174,8 +195,9 @@ def _simulated(scene: "Scene", settings: "_Settings", *, live: bool, duration_s:
             from tissue.evaluation.charts.fidelity import with_fidelity
 
             scene, chosen["fidelity"] = with_fidelity(scene, report=report)
-        console.print(f"live: {moved_by(scene)[1]}; Ctrl-C ends it")
-        finished = simulate_live(scene, duration_s=duration_s, **settings)
+        console.print(f"live: {moved_by(scene, web=web)[1]}; Ctrl-C ends it")
+        opened = (lambda address: console.print(f"open {address}")) if web else None
+        finished = simulate_live(scene, duration_s=duration_s, opened=opened, ros2=ros2, **settings)
     finished.parts.notes |= chosen
     finished.draw = draw_pictures
     return Run(finished)

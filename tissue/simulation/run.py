@@ -104,6 +104,11 @@ class Run:
             self._fraction = tissue.remaining() if isinstance(tissue, HasVoxels) else self.volume.fraction
         return self._fraction
 
+    def discard(self, why: str) -> None:
+        """Let go of a run that is not to be saved; the folder that took its rows holds them as an interrupted one."""
+        if self._folder is not None:
+            self._folder.interrupt(why)
+
     def replay(self) -> "CarvingReplay":
         """The carving once more, for the bone at any tick: ``run.replay().at(tick)``.
 

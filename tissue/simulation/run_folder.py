@@ -149,6 +149,13 @@ class RunFolder:
             writer.close()
         self._writers = []
 
+    def interrupt(self, problem: str) -> None:
+        """Mark a run that nobody wants to end as interrupted, and let go of the folder."""
+        self.close_tables()
+        summary = {name: value for name, value in self._summary.items() if name != "process"}
+        self._write_summary(summary | {"status": "interrupted", "problem": problem})
+        self._lock.release()
+
     def complete(self, summary: Summary) -> None:
         """Write the summary of a run whose files are all there, and let go of the folder."""
         self._write_summary(summary)

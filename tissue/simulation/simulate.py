@@ -31,7 +31,7 @@ from tissue.simulation.scheduling import Scheduling, spin_time_s
 from tissue.simulation.shortfalls import shortfalls
 from tissue.simulation.trace import Table
 
-__all__ = ["TICK_S", "RunObserver", "simulate", "tick_count"]
+__all__ = ["TICK_S", "RunObserver", "TakesEvents", "simulate", "tick_count"]
 
 
 class RunObserver(Protocol):
@@ -54,6 +54,15 @@ class RunObserver(Protocol):
 
     def on_end(self) -> list[tuple[float, str]]:
         """The ticks have ended, or failed: what has happened, time [s] and a sentence each."""
+        ...
+
+
+@runtime_checkable
+class TakesEvents(Protocol):
+    """An observer that takes what the tissue reports in the tick in which it does."""
+
+    def on_event(self, time_s: float, what: str) -> None:
+        """Take what has happened at a time [s], a sentence."""
         ...
 
 
@@ -163,15 +172,20 @@ def _loop(
     if observer is not None:
         observer.on_begin(parts, trace.columns)
 
+    takes = observer if isinstance(observer, TakesEvents) else None
+
     def go_through() -> None:
         """Run the ticks with their observers, and report progress about ten times a second."""
         nonlocal reported_s
-        goes_on = True
+        goes_on, taken = True, 0
         while goes_on and loop.ticks < ticks:
             loop.wait()
             if observer is not None:
                 observer.before_tick(loop.ticks)
             row = loop.step()
+            while takes is not None and taken < len(loop.events):
+                takes.on_event(*loop.events[taken])
+                taken += 1
             goes_on = observer is None or observer.on_tick(row, trace.rows[row], timing.rows[row])
             if folder is not None:
                 folder.flush(

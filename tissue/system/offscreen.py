@@ -16,7 +16,7 @@ from time import monotonic, sleep
 from meshes.base.errors import InputError
 from tissue.system.child import CHECK_S, HangDetector, child_command
 
-__all__ = ["REMEDY", "await_display", "display_problem", "draw_apart", "end_drawing"]
+__all__ = ["REMEDY", "await_display", "display_problem", "draw_apart", "drawing_environments", "end_drawing"]
 
 REMEDY = "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers (Fedora)"
 """What gives a bare Linux machine OpenGL in software."""
@@ -59,8 +59,8 @@ def draw_apart(
     if not command:
         return "this Python cannot start another one to draw in 3D: run it from the command line"
     reason = "this machine has no OpenGL library"
-    for window in _windows():
-        environment = os.environ | ({"VTK_DEFAULT_OPENGL_WINDOW": window} if window else {})
+    for changes in drawing_environments():
+        environment = os.environ | changes
         pipe = subprocess.PIPE
         with (
             TemporaryDirectory(prefix="tissue-") as folder,
@@ -183,6 +183,12 @@ def _answers(library: ctypes.CDLL, name: str) -> bool:
         return output.get(timeout=ANSWERS_S)
     except Empty:
         return False
+
+
+def drawing_environments() -> Iterator[dict[str, str]]:
+    """What to change in the environment of a process that draws off screen; the next is for where the last failed."""
+    for window in _windows():
+        yield {"VTK_DEFAULT_OPENGL_WINDOW": window} if window else {}
 
 
 def _windows() -> Iterator[str]:

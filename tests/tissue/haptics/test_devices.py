@@ -249,6 +249,22 @@ def test_a_mouse_is_followed_smoothly_and_alike_at_any_rate():
     assert found[0][:2] == pytest.approx((0.02 * share, -0.01 * share), rel=1e-9)
 
 
+def test_a_mouse_turns_as_smoothly_as_it_goes_and_by_the_shorter_side():
+    found, share = [], 1.0 - (1.0 + 0.07 / 0.03) * exp(-0.07 / 0.03)
+    wanted = exponential((0.0, 0.6, -0.8))
+    for quaternion, step in ((wanted, 1e-3), (wanted, 7e-3), (tuple(-part for part in wanted), 1e-3)):
+        mouse = MouseDevice(response_s=0.03)
+        mouse.push((0.0, 0.0, 0.0), quaternion)
+        for tick in range(1, round(0.07 / step) + 1):
+            sample = mouse.read(tick * step)
+        found.append((*logarithm(sample.quaternion), *sample.spin_rad_s))
+    assert found[0] == pytest.approx(found[1], rel=1e-9) and found[0] == pytest.approx(found[2], rel=1e-9)
+    assert found[0][:3] == pytest.approx((0.0, 0.6 * share, -0.8 * share), rel=1e-9, abs=1e-12)
+    for tick in range(71, 1000):
+        sample = mouse.read(tick * TICK)
+    assert logarithm(sample.quaternion) == pytest.approx((0.0, 0.6, -0.8), abs=1e-9)
+
+
 @pytest.mark.parametrize("name", DEVICES)
 def test_published_devices_are_complete_and_cited(name):
     device = device_parameters(name)

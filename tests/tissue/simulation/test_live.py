@@ -5,7 +5,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -86,6 +85,8 @@ def test_ctrl_c_ends_a_live_run_that_is_whole(tmp_path):
 
 class FakeWindow:
     """A window whose pointer goes 8 mm down at once, and that is closed after 600 ticks."""
+
+    paused = reset = False
 
     def __init__(self, scene, parts, columns, *, low_m, high_m):
         self.closed, self.box, self.shown, self._announced = False, (low_m, high_m), 0, False
@@ -225,50 +226,6 @@ def test_a_mouse_that_is_pushed_far_never_moves_faster_than_a_hand():
     mouse.push((0.3, 0.0, 0.0))
     speeds = [mouse.read(1e-3 * tick).velocity_m_s[0] for tick in range(300)]
     assert 3.0 < max(speeds) < 5.0  # 0.3 m / (e x 30 ms) = 3.7 m/s
-
-
-class FakePriority:
-    """A priority that records what was asked, by which thread."""
-
-    def __init__(self):
-        self.asked, self.granted = [], "ordinary priority"
-
-    def begin(self):
-        self.asked.append(("begin", threading.get_native_id()))
-        self.granted = "raised"
-
-    def end(self):
-        self.asked.append(("end", threading.get_native_id()))
-
-
-def live_by(priority, changes=HALF, device=None):
-    scene = load_scene("wall", {"device": "touch"} | changes)
-    observer = LiveObserver(scene, None, WallClock(TICK_S), priority)
-    return simulate(scene, observer=observer, device=device), observer
-
-
-def test_the_thread_of_the_ticks_has_its_priority_raised_while_they_run():
-    priority = FakePriority()
-    _, observer = live_by(priority, {"duration_s": 0.05})
-    own = threading.get_native_id()
-    assert priority.asked == [("begin", own), ("end", own)] and observer.granted == "raised"
-    priority = FakePriority()
-    live_by(priority, {"duration_s": 0.05}, MouseDevice((0.0, 0.0, 0.0)))
-    threads = [thread for _, thread in priority.asked]
-    assert [what for what, _ in priority.asked] == ["begin", "end"] and threads[1] == own
-
-
-def test_ticks_that_leave_nothing_to_others_lose_their_priority(monkeypatch):
-    """Ticks of any length are over a share of nothing; at 90 % those of a wall, a twentieth of a millisecond, are not."""
-    priority = FakePriority()
-    run, _ = live_by(priority)
-    assert not any("at ordinary priority" in what for _, what in run.events) and len(priority.asked) == 2
-    monkeypatch.setattr("tissue.simulation.live.run.FULL", 0.0)
-    run, _ = live_by(priority)
-    assert [what for _, what in run.events if "at ordinary priority" in what] == [
-        "the ticks take over 0% of the time: at ordinary priority from here"
-    ]
-    assert [what for what, _ in priority.asked[2:]] == ["begin", "end"]
 
 
 def test_a_live_run_states_the_priority_it_had(no_display):

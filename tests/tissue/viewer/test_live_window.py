@@ -6,9 +6,11 @@ import pytest
 from tissue import load_scene, simulate
 from tissue.figures.wall import draw_wall
 from tissue.simulation.live.shared import SharedArrays
+from tissue.simulation.live.surfaces import FADES_MM, BoneSurface, OrganSurface
 from tissue.simulation.live.tissues import BoneShared, OrganShared
-from tissue.viewer.live.pointer import KEY_MM, NOTCH_MM, Pointer
-from tissue.viewer.live.tissue_shown import FADES_MM, LiveBone, LiveOrgan
+from tissue.viewer.live.pointer import Pointer
+from tissue.viewer.live.target import KEY_MM, NOTCH_MM
+from tissue.viewer.live.tissue_shown import LiveBone, LiveOrgan
 from tissue.viewer.run import faces_of
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -18,13 +20,10 @@ class Plotter:
     """A plotter that only remembers what it was given, so that no OpenGL is needed."""
 
     def __init__(self):
-        self.meshes, self.texts = {}, []
+        self.meshes = {}
 
     def add_mesh(self, mesh, name="mesh", **look):
         self.meshes[name] = mesh
-
-    def add_text(self, text, **look):
-        self.texts.append(text)
 
     def remove_actor(self, name, **options):
         del self.meshes[name]
@@ -148,9 +147,9 @@ def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch, block
     arrays = SharedArrays(tmp_path, shared.layout)
     shared.publish(arrays, 0)
     plotter = Plotter()
-    bone = LiveBone(plotter, shared.start, arrays)
+    bone = LiveBone(plotter, BoneSurface(shared.start, arrays))
     names = run.volume.layer_names
-    assert plotter.texts == [n for i, n in enumerate(names) if (run.volume.fraction[run.volume.layer == i] > 0).any()]
+    assert list(bone.colours) == [n for i, n in enumerate(names) if (run.volume.fraction[run.volume.layer == i] > 0).any()]
     before = plotter.meshes["bone"].volume
     # A closed surface at half full holds the bone but for its rounded edges.
     assert before == pytest.approx(1e9 * milling.start_m3.sum(), rel=0.03)
@@ -190,7 +189,7 @@ def test_the_drawn_organ_moves_where_it_is_known_and_fades_beyond(tmp_path):
     shared = OrganShared(organ)
     arrays = SharedArrays(tmp_path, shared.layout)
     plotter = Plotter()
-    drawn = LiveOrgan(plotter, shared.start, arrays)
+    drawn = LiveOrgan(plotter, OrganSurface(shared.start, arrays))
     rest = np.array(plotter.meshes["mesh"].points)
     assert not drawn.update()
     organ.moved[:] = (0.0, 0.0, -2e-3)

@@ -8,9 +8,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.haptics.device.device import ComputedDevice, Sample
-from tissue.motion.quaternion import Quaternion, Triple, turn_between
+from tissue.motion.quaternion import Quaternion, Triple, exponential, product, turn_between, unit
 
 __all__ = ["MouseDevice", "RecordedDevice"]
+
+NOT_TURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class RecordedDevice(ComputedDevice):
@@ -70,7 +72,7 @@ class MouseDevice(ComputedDevice):
     """Positions that a window pushes in at its own rate, smoothed to a motion that a tissue can be met with.
 
     Between two pushes the pose follows the last one as a critically damped second-order system, exactly for a target
-    that is held, so that position and velocity are continuous at any rate of the window.
+    that is held, so that position, orientation and their speeds are continuous at any rate of the window.
 
     Parameters
     ----------
@@ -82,29 +84,38 @@ class MouseDevice(ComputedDevice):
 
     def __init__(self, position_m: Triple = (0.0, 0.0, 0.0), *, response_s: float = 0.03) -> None:
         self._response = require_positive("response_s", response_s, "use 0.03")
-        self._target, self._position = position_m, position_m
-        self._velocity: Triple = (0.0, 0.0, 0.0)
-        self._turned: Quaternion = (0.0, 0.0, 0.0, 1.0)
+        self._target, self._turned = position_m, NOT_TURNED
         self._sample = Sample(0.0, position_m)
 
-    def push(self, position_m: Triple, quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)) -> None:
-        """Where the pointer is now [m]; may be called from a window's thread."""
+    def push(self, position_m: Triple, quaternion: Quaternion = NOT_TURNED) -> None:
+        """Where the pointer is now [m], and how it is turned; may be called from a window's thread."""
         self._target, self._turned = position_m, quaternion
 
     def read(self, time_s: float) -> Sample | None:
         """Follow the last push up to a time."""
-        step, target = time_s - self._sample.time_s, self._target
+        last, target, turned = self._sample, self._target, self._turned
+        step = time_s - last.time_s
         if step <= 0.0:
-            return self._sample
-        fade, rate = exp(-step / self._response), 1.0 / self._response
+            return last
         position, velocity = [], []
-        for at, speed, wanted in zip(self._position, self._velocity, target, strict=True):
-            away = at - wanted
-            slope = speed + rate * away
-            position.append(wanted + fade * (away + slope * step))
-            velocity.append(fade * (slope - rate * (away + slope * step)))
-        self._position, self._velocity = tuple(position), tuple(velocity)  # type: ignore[assignment]
-        turn = turn_between(self._sample.quaternion, self._turned)
-        spin = tuple(angle / step for angle in turn)
-        self._sample = Sample(time_s, self._position, self._velocity, self._turned, spin)  # type: ignore[arg-type]
+        for at, speed, wanted in zip(last.position_m, last.velocity_m_s, target, strict=True):
+            away, faster = self._followed(at - wanted, speed, step)
+            position.append(wanted + away)
+            velocity.append(faster)
+        quaternion, spins = last.quaternion, []
+        if turned != quaternion or any(last.spin_rad_s):
+            turns = []
+            for left, speed in zip(turn_between(quaternion, turned), last.spin_rad_s, strict=True):
+                away, faster = self._followed(-left, speed, step)
+                turns.append(left + away)
+                spins.append(faster)
+            quaternion = unit(product(exponential(tuple(turns)), quaternion)) or turned  # type: ignore[arg-type]
+        spin = tuple(spins) if spins else (0.0, 0.0, 0.0)
+        self._sample = Sample(time_s, tuple(position), tuple(velocity), quaternion, spin)  # type: ignore[arg-type]
         return self._sample
+
+    def _followed(self, away: float, speed: float, step_s: float) -> tuple[float, float]:
+        """Distance from a target and speed, a step later."""
+        fade, rate = exp(-step_s / self._response), 1.0 / self._response
+        slope = speed + rate * away
+        return fade * (away + slope * step_s), fade * (slope - rate * (away + slope * step_s))

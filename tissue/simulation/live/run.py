@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from time import perf_counter, sleep
 from types import FrameType
@@ -11,6 +12,7 @@ from types import FrameType
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.builders.device import opened_device, opens_device
 from tissue.builders.parts import Parts
@@ -19,11 +21,14 @@ from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.live.clock import BEHIND_S, WallClock
+from tissue.simulation.live.page import Page, require_web
+from tissue.simulation.live.prioritised import Prioritised
+from tissue.simulation.live.ros2 import Ros2Observer, require_ros2
+from tissue.simulation.live.slicer import SlicerLink, SlicerObserver, require_link
 from tissue.simulation.live.window import WindowProcess
 from tissue.simulation.run import DEADLINE_US, Run
-from tissue.simulation.simulate import TICK_S, simulate
+from tissue.simulation.simulate import TICK_S, RunObserver, simulate
 from tissue.system.offscreen import await_display, display_problem
-from tissue.system.tick_priority import TickPriority
 
 __all__ = ["LiveObserver", "live", "moved_by"]
 
@@ -33,10 +38,10 @@ REPLACED_DEVICE = "touch"
 """Device whose numbers a mouse takes in a scene without one."""
 ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
 """How far from the scripted path the pointer may take the tool; a wall goes on for ever."""
+LOOK_S = 0.01
+"""Time between two looks while the run waits [s]."""
 LOOK_TICKS = 200
 """Ticks between two looks whether the window's process is still there and draws."""
-FULL = 0.9
-"""Share of the time that ticks may take at a raised priority: Linux stops what takes 95 % of a second for the rest."""
 STALLED_S, HELD_S = 3.0, 60.0
 """How long a window may draw nothing before the run waits for it, and how long it waits [s]."""
 ABOVE_M, BELOW_M = 0.02, 0.01
@@ -44,8 +49,12 @@ ABOVE_M, BELOW_M = 0.02, 0.01
 presses as far as there is bone beyond what the script reaches."""
 
 
-def moved_by(scene: Scene) -> tuple[bool, str]:
-    """Whether a live run of a scene opens a window and takes the mouse, and what moves the tool, in a sentence."""
+def moved_by(scene: Scene, *, web: bool = False, slicer: bool = False) -> tuple[bool, str]:
+    """Whether a person moves the tool of a live run by a pointer or in 3D Slicer, and what moves it, in a sentence."""
+    if slicer:
+        return True, "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the force is sent"
+    if web:
+        return True, "the mouse moves the tool in a browser; it feels nothing, the force is shown"
     if opens_device(scene):
         return False, f"the device {scene.device} moves the tool and plays the force; no window"
     problem = display_problem()
@@ -65,6 +74,9 @@ def live(
     progress: Progress | None = None,
     allow_unstable: bool = False,
     duration_s: float | None = None,
+    opened: Callable[[str], object] | None = None,
+    slicer: SlicerLink | None = None,
+    ros2: bool = False,
 ) -> Run:
     """Simulate a scene against the wall clock, in a window with the mouse as device or, without a display, scripted.
 
@@ -72,8 +84,8 @@ def live(
     mouse as on the scene's device, by the same spring, and the forces that the device would play are in the trace and
     shown; in a scene without a device a mouse acts as a touch. A tick has missed its deadline if it is not done within
     1 ms of when it was due. See `WallClock` for what happens when the ticks fall behind. The ticks have a raised
-    priority as far as the system grants one, see `TickPriority`; the note ``priority`` states it. Ctrl-C or closing the
-    window ends the run, and what there is of it is a run like any other.
+    priority as far as the system grants one, which the note ``priority`` states. Ctrl-C or closing the window ends the
+    run, and what there is of it is a run like any other.
 
     Parameters
     ----------
@@ -83,15 +95,40 @@ def live(
     duration_s
         How long a run by the mouse lasts [s]; without it until the window is closed, 600 s at most. A scripted run
         lasts as long as its scene states.
+    opened
+        Show the run in a browser in place of a window, and call this once with the address of its page. The ticks wait
+        until the page is open. It can reset the run: then the same scene is simulated from its start once more, and
+        of the run before only the rows stay, until those of the next replace them.
+    slicer
+        Publish the run for 3D Slicer beside that, see `docs/guide/slicer.md`; where it also drives the tool, no window
+        opens.
+    ros2
+        Publish the run on topics of ROS 2 beside that, see `docs/guide/ros2.md`.
 
     Raises
     ------
     InputError
-        As `tissue.simulate`, and if a display does not answer, or a window does not open on it, in time.
+        As `tissue.simulate`; if a display does not answer, or a window does not open on it, in time; if a page is
+        asked for with a real device, which only works without a window, or it cannot be drawn or served; if the port
+        for 3D Slicer is taken, or something else moves the tool; and if ROS 2 is asked for and not installed.
     """
-    await_display()
-    by_mouse, note = moved_by(scene)
-    mouse = MouseDevice(_start_m(scene)) if by_mouse else None
+    page = None
+    by_slicer = slicer is not None and slicer.drives
+    if slicer is not None:
+        require_link(slicer, scene, web=opened is not None)
+    if ros2:
+        require_ros2()
+    if opened is None and not by_slicer:
+        await_display()
+    elif opened is not None:
+        require_web()
+        if opens_device(scene):
+            raise InputError(
+                f"--web must be left out with a real device, which runs without any window, got {scene.device}: "
+                "leave it out, or set device = touch to use the mouse"
+            )
+        page = Page(opened)
+    by_mouse, note = moved_by(scene, web=page is not None, slicer=by_slicer)
     if by_mouse:
         device = REPLACED_DEVICE if scene.device == "none" else scene.device
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
@@ -99,23 +136,45 @@ def live(
         changes = {"device": device, "duration_s": duration_s or LONGEST_S, "coupling": coupling}
         scene = scene.model_copy(update=changes)
         cores = cores or max((os.cpu_count() or 2) - 1, 1)
-    device_held = mouse if by_mouse else opened_device(scene)
-    observer = LiveObserver(scene, mouse, WallClock(TICK_S), TickPriority())
-    run = simulate(
-        scene,
-        compute=compute,
-        cores=cores,
-        out=out,
-        overwrite=overwrite,
-        progress=progress,
-        allow_unstable=allow_unstable or by_mouse,
-        device=device_held,
-        observer=observer,
-    )
+    try:
+        while True:
+            mouse = MouseDevice(_start_m(scene)) if by_mouse else None
+            observer = LiveObserver(scene, None if by_slicer else mouse, WallClock(TICK_S), page)
+            prioritised = Prioritised(observer)
+            along: RunObserver = prioritised
+            linked = topics = None
+            if slicer is not None:
+                moved = mouse if by_slicer else None
+                along = linked = SlicerObserver(scene, along, slicer, box=partial(_box, scene), mouse=moved)
+            if ros2:
+                along = topics = Ros2Observer(scene, along, box=partial(_box, scene))
+            run = simulate(
+                scene,
+                compute=compute,
+                cores=cores,
+                out=out,
+                overwrite=overwrite,
+                progress=progress,
+                allow_unstable=allow_unstable or by_mouse,
+                device=mouse if by_mouse else opened_device(scene),
+                observer=along,
+            )
+            if not observer.reset:
+                break
+            run.discard("reset")
+            overwrite = True
+    finally:
+        if page is not None:
+            page.close()
     run.parts.notes["live"] = note
-    run.parts.notes["priority"] = observer.granted
+    run.parts.notes["priority"] = prioritised.note
+    if topics is not None:
+        run.parts.notes["ros2"] = topics.note
+    if linked is not None:
+        run.parts.notes["slicer"] = linked.note
     if mouse is not None:
-        run.parts.notes["coupling"] = f"a mouse in place of the {scene.device} and its hand, " + scene.renderer
+        held = "a pose from 3D Slicer" if by_slicer else "a mouse"
+        run.parts.notes["coupling"] = f"{held} in place of the {scene.device} and its hand, " + scene.renderer
     return run
 
 
@@ -130,22 +189,20 @@ class LiveObserver:
         The device that the window's pointer moves; None for no window.
     clock
         The clock that paces it.
-    priority
-        Priority of the ticks; None leaves it as it is.
+    page
+        Page that shows it in place of a window on the display, and outlives it.
 
     Attributes
     ----------
-    granted
-        The priority that the ticks ran at, in words.
+    reset
+        Whether a person wants the same scene once more from its start.
     """
 
     timing_columns: tuple[str, ...] = ("late_us", "skipped_us")
 
-    def __init__(
-        self, scene: Scene, mouse: MouseDevice | None, clock: WallClock, priority: TickPriority | None = None
-    ) -> None:
-        self._scene, self._mouse, self._clock = scene, mouse, clock
-        self._priority, self.granted, self._busy_us = priority, "", 0.0
+    def __init__(self, scene: Scene, mouse: MouseDevice | None, clock: WallClock, page: Page | None = None) -> None:
+        self._scene, self._mouse, self._clock, self._page = scene, mouse, clock, page
+        self.reset = False
         self._window: WindowProcess | None = None
         self._stopped, self._missed, self._skipped_s = False, 0, 0.0
         self._events: list[tuple[float, str]] = []
@@ -157,17 +214,18 @@ class LiveObserver:
         """Open the window; from here on Ctrl-C ends the run after its tick."""
         if self._mouse is not None:
             low, high = _box(self._scene, parts)
-            self._window = WindowProcess(self._scene, parts, columns, low_m=low, high_m=high)
+            show = WindowProcess if self._page is None else self._page.show
+            self._window = show(self._scene, parts, columns, low_m=low, high_m=high)
         if threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGINT, self._stop)
 
     def before_tick(self, index: int) -> None:
-        """Wait until a tick is due, and for a window that hangs; take what the pointer wants by then."""
-        if index == 0 and self._priority is not None:  # here, for the ticks may have a thread of their own
-            self._priority.begin()
-            self.granted = self._priority.granted
-        if self._window is not None and index % LOOK_TICKS == 0:
-            self._hold(self._window, index)
+        """Wait until a tick is due, while it is paused and for a window that hangs; take what the pointer wants."""
+        if self._window is not None:
+            if self._window.paused:
+                self._pause(self._window, index)
+            if index % LOOK_TICKS == 0:
+                self._hold(self._window, index)
         self._clock.wait(index)
         if self._window is not None and self._mouse is not None:
             pointed = self._window.pointed_m()
@@ -179,9 +237,6 @@ class LiveObserver:
         """Write lateness into a tick's row of timing and show the tick; whether the run goes on."""
         late, skipped = 1e6 * self._clock.late_s, 1e6 * self._clock.skipped_s
         times[-2:] = late, skipped
-        self._busy_us += times[0]
-        if index % LOOK_TICKS == 0:
-            self._relent(float(row[0]))
         self._missed += times[0] + late > DEADLINE_US
         if skipped > 0.0:
             if self._skipped_s == 0.0:
@@ -195,15 +250,19 @@ class LiveObserver:
         if index % LOOK_TICKS == 0 and (words := self._window.failed()) is not None:
             self._events.append((float(row[0]), f"the window ended by itself, and the run with it: {words}"))
             self._stopped = True
-        return not (self._stopped or self._window.closed)
+        self.reset = self._window.reset and not (self._stopped or self._window.closed)
+        return not (self._stopped or self._window.closed or self.reset)
 
-    def _relent(self, time_s: float) -> None:
-        """Give the raised priority back where the ticks would leave nothing to others."""
-        if self._priority is not None and self._busy_us > FULL * 1e6 * LOOK_TICKS * TICK_S:
-            self._priority.end()
-            self._priority = None
-            self._events.append((time_s, f"the ticks take over {FULL:.0%} of the time: at ordinary priority from here"))
-        self._busy_us = 0.0
+    def _pause(self, window: WindowProcess, index: int) -> None:
+        """Let the run wait as long as a person wants."""
+        began = perf_counter()
+        while window.paused and not (self._stopped or window.closed or window.reset) and window.failed() is None:
+            sleep(LOOK_S)
+        now = perf_counter()
+        self._clock.hold(now - began)
+        self._drawn_s = now
+        if index > 0:
+            self._events.append((index * TICK_S, f"the run was paused for {now - began:.1f} s"))
 
     def _hold(self, window: WindowProcess, index: int) -> None:
         """Let the run wait while its window draws nothing: nobody could see or move the tool."""
@@ -215,7 +274,7 @@ class LiveObserver:
         while window.frames == self._frames and now - began < HELD_S and not self._stopped and not window.closed:
             if window.failed() is not None:
                 break
-            sleep(0.01)
+            sleep(LOOK_S)
             now = perf_counter()
         self._clock.hold(now - began)
         self._drawn_s, waited_s = now, now - began
@@ -226,15 +285,13 @@ class LiveObserver:
             self._events.append((index * TICK_S, f"the window drew nothing: the run waited {waited_s:.1f} s for it"))
 
     def on_end(self) -> list[tuple[float, str]]:
-        """Close the window and leave Ctrl-C and priority as they were; what has happened, as `Motion.happened`."""
-        if self._priority is not None:
-            self._priority.end()
+        """Close the window and leave Ctrl-C as it was; what has happened, as `Motion.happened`."""
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)
             self._handler = None
-        if self._window is not None:
+        if self._window is not None and self._page is None:
             self._window.end()
-            self._window = None
+        self._window = None
         return self._events
 
     def _stop(self, number: int, frame: FrameType | None) -> None:

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import gettempdir, mkdtemp
@@ -17,17 +18,21 @@ from meshes.base.errors import InputError
 from tissue.builders.parts import Parts
 from tissue.scene.scene import Scene
 from tissue.simulation.live.shared import MEMORY, AnyArray, Layout, SharedArrays
-from tissue.simulation.live.tissues import shared_tissue
+from tissue.simulation.live.tissues import NothingShared, TissueShared, shared_tissue
 from tissue.system.child import CHECK_S, HangDetector, child_command
 
-__all__ = ["CLOCK", "WindowProcess"]
+__all__ = ["CLOCK", "LOADS", "WindowProcess"]
 
 MODULE = "tissue.viewer.live.live_window"
 """What is run in the other process; it lies above and is named, not imported."""
 CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
 """What a window receives of the clock."""
+LOAD = ("time_s", *(f"model_force_{c}_N" for c in "xyz"))
+"""Columns that a window plots."""
 ROW_TICKS = 8
 """Ticks between two rows that a window receives."""
+LOADS = 1024
+"""Rows of time and force that are kept for a window that plots them: 8 s."""
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 """Colours of a terminal in what a process prints."""
 CLOSES_S = 10.0
@@ -51,12 +56,29 @@ class WindowProcess:
         Names of the trace's columns.
     low_m, high_m
         Corners of the box in which the pointer may move the tool [m].
+    environment
+        What its process has in its environment beside what this one has.
+    more_layout, more_start
+        Further arrays that both sides see, and further ones that its process needs to begin with.
+
+    Attributes
+    ----------
+    arrays
+        What both sides see.
+    address
+        Where it is to be seen, as it reports itself; empty for a window on the display.
 
     Raises
     ------
     InputError
         If the window does not open.
     """
+
+    module = MODULE
+    place = "must open its window where there is a display"
+    remedy = "mend the display, or unset DISPLAY to run without a window"
+    shows_tissue = True
+    """Whether its process is sent the tissue as it changes."""
 
     def __init__(
         self,
@@ -66,9 +88,12 @@ class WindowProcess:
         *,
         low_m: NDArray[np.float64],
         high_m: NDArray[np.float64],
+        environment: Mapping[str, str] | None = None,
+        more_layout: Layout | None = None,
+        more_start: Mapping[str, AnyArray] | None = None,
     ) -> None:
         self._folder = _new_folder()
-        self._shared = shared_tissue(parts)
+        self._shared: TissueShared = shared_tissue(parts) if self.shows_tissue else NothingShared()
         layout: Layout = {
             "row": ("float64", (len(columns) + len(CLOCK),)),
             "row_turn": ("int64", (1,)),
@@ -77,24 +102,32 @@ class WindowProcess:
             "ended": ("int64", (1,)),
             "closed": ("int64", (1,)),
             "frames": ("int64", (1,)),
+            "loads": ("float64", (LOADS, 4)),
+            "loads_count": ("int64", (1,)),
+            "paused": ("int64", (1,)),
+            "resets": ("int64", (1,)),
+            "runs": ("int64", (1,)),
         }
-        self.arrays = SharedArrays(self._folder, layout | self._shared.layout)
+        self.arrays = SharedArrays(self._folder, layout | self._shared.layout | (more_layout or {}))
         self._row = np.zeros(len(columns) + len(CLOCK))
         self._turn, self._closed = self.arrays["pointer_turn"], self.arrays["closed"]
-        self._drawn = self.arrays["frames"]
-        self._seen = 0
+        self._drawn, self._held, self._resets = (self.arrays[name] for name in ("frames", "paused", "resets"))
+        self._loads, self._count = self.arrays["loads"], self.arrays["loads_count"]
+        self._load = np.array([columns.index(name) for name in LOAD], dtype=np.intp)
+        self._seen, self._reset, self.address = 0, 0, ""
         (self._folder / "scene.json").write_text(
             scene.model_dump_json(exclude_unset=True), "utf-8"
         )  # as it is, changed for the mouse
         (self._folder / "columns.json").write_text(json.dumps([*columns, *CLOCK]), "utf-8")
         turn = parts.motion.rotations()[0]
         box = {"low_m": low_m, "high_m": high_m, "start_m": parts.motion.sweep_m()[0], "axis": turn[:, 2]}
-        start: dict[str, AnyArray] = {**box, **self._shared.start}
+        start: dict[str, AnyArray] = {**box, **self._shared.start, **(more_start or {})}
         np.savez(self._folder / "start.npz", allow_pickle=False, **start)
         self._shared.publish(self.arrays, 0)
         with (self._folder / "output.txt").open("w+", encoding="utf-8", errors="replace") as output:
             self._child = subprocess.Popen(
-                child_command(MODULE, str(self._folder)),
+                child_command(self.module, str(self._folder)),
+                env={**os.environ, **(environment or {})},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=output,
@@ -111,10 +144,7 @@ class WindowProcess:
         if last is not None:
             self._child.kill()
             self.end()
-            raise InputError(
-                f"--live must open its window where there is a display, but {last[:200]}: mend the display, or unset "
-                "DISPLAY to run without a window"
-            )
+            raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
         shutil.rmtree(self._folder, ignore_errors=True)  # both sides have it open: nothing is left behind by a kill
 
     def _unready(self) -> str | None:
@@ -128,7 +158,9 @@ class WindowProcess:
         threading.Thread(target=lambda: first.put(stdout.readline()), daemon=True).start()
         while True:
             try:
-                if first.get(timeout=CHECK_S).strip() == "ready":
+                word, _, address = first.get(timeout=CHECK_S).strip().partition(" ")
+                if word == "ready":
+                    self.address = address
                     return None
                 self._child.wait(CLOSES_S)
                 return self._last_words()
@@ -149,6 +181,23 @@ class WindowProcess:
         """Whether a person has closed it."""
         return bool(self._closed[0])
 
+    @property
+    def paused(self) -> bool:
+        """Whether a person has paused the run."""
+        return bool(self._held[0])
+
+    @property
+    def reset(self) -> bool:
+        """Whether a person wants the run from its start again."""
+        return int(self._resets[0]) != self._reset
+
+    def begin_again(self, parts: Parts) -> None:
+        """Show another run of the same scene from its start."""
+        self._shared = shared_tissue(parts)
+        self._shared.publish(self.arrays, 0)
+        self._reset, self._seen = int(self._resets[0]), int(self._turn[0])
+        self.arrays["runs"][0] += 1
+
     def failed(self) -> str | None:
         """What its process printed last if that has ended though nobody closed it, else None."""
         return self._last_words() if self._child.poll() is not None and not self.closed else None
@@ -166,6 +215,8 @@ class WindowProcess:
         if index % ROW_TICKS == 0:
             self._row[: len(row)], self._row[len(row) :] = row, clock
             self.arrays.write("row", self._row)
+            np.take(row, self._load, out=self._loads[self._count[0] % LOADS])
+            self._count[0] += 1
         self._shared.publish(self.arrays, index)
 
     def end(self) -> None:

@@ -1,8 +1,9 @@
-"""Mouse and keyboard of a live window as a device: where the tool is wanted."""
+"""Mouse and keyboard of a live window as a device."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.viewer.live.target import NOTCH_MM, Target
 from tissue.viewer.plotter import Plotter
 
 __all__ = ["HELP", "Pointer"]
@@ -15,14 +16,9 @@ HELP = (
     "q: end",
 )
 """What there is to press."""
-NOTCH_MM, KEY_MM = 0.5, 0.5
-"""Travel of a notch of the wheel and of a press of a key [mm]."""
-DEEPER, HIGHER = ("Next", "s"), ("Prior", "w")
-ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0.0, -1.0)}
-"""Directions right and up in the view."""
 
 
-class Pointer:
+class Pointer(Target):
     """The wanted place of a tool, moved by mouse and keys within a box.
 
     The mouse moves it in the plane of the view by as much as it goes over the plane through it; with a button pressed
@@ -48,8 +44,7 @@ class Pointer:
     """
 
     def __init__(self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array) -> None:
-        self._plotter, self._axis, self._low, self._high = plotter, axis, low_mm, high_mm
-        self.target_mm = np.array(start_mm, dtype=float)
+        super().__init__(plotter, start_mm, axis, low_mm=low_mm, high_mm=high_mm)
         self.ended = False
         self._at: tuple[int, int] | None = None
         interactor = self._interactor = plotter.iren.interactor
@@ -61,29 +56,6 @@ class Pointer:
         style.AddObserver("MouseWheelForwardEvent", lambda *_: self.along(-NOTCH_MM))
         style.AddObserver("MouseWheelBackwardEvent", lambda *_: self.along(NOTCH_MM))
         style.AddObserver("CharEvent", lambda *_: None)
-
-    def along(self, travel_mm: float) -> None:
-        """Go along the tool's axis [mm], positive out of the tissue."""
-        self._go(travel_mm * self._axis)
-
-    def across(self, right_mm: float, up_mm: float) -> None:
-        """Go in the plane of the view [mm]."""
-        camera = self._plotter.camera
-        forward = np.array(camera.GetDirectionOfProjection())
-        right = np.cross(forward, camera.GetViewUp())
-        right /= np.linalg.norm(right)
-        self._go(right_mm * right + up_mm * np.cross(right, forward))
-
-    @property
-    def mm_per_pixel(self) -> float:
-        """Size of a pixel in the plane of the view through the target [mm]."""
-        camera = self._plotter.camera
-        away = float((self.target_mm - camera.GetPosition()) @ np.array(camera.GetDirectionOfProjection()))
-        tall = self._plotter.window_size[1]
-        return 2.0 * max(away, 1.0) * float(np.tan(np.radians(0.5 * camera.GetViewAngle()))) / tall
-
-    def _go(self, travel_mm: Array) -> None:
-        self.target_mm = np.clip(self.target_mm + travel_mm, self._low, self._high)
 
     def _moved(self, *_: object) -> None:
         before, self._at = self._at, self._interactor.GetEventPosition()
@@ -97,12 +69,7 @@ class Pointer:
 
     def _pressed(self, *_: object) -> None:
         key = self._interactor.GetKeySym()
-        if key in ARROWS:
-            right, up = ARROWS[key]
-            self.across(KEY_MM * right, KEY_MM * up)
-        elif key in DEEPER:
-            self.along(-KEY_MM)
-        elif key in HIGHER:
-            self.along(KEY_MM)
-        elif key in ("q", "Escape"):
+        if key in ("q", "Escape"):
             self.ended = True
+        else:
+            self.press(key)

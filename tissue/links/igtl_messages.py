@@ -1,0 +1,254 @@
+"""OpenIGTLink messages: header, CRC and the bodies that a run sends and takes, byte for byte.
+
+All numbers are big-endian but for the voxels of an image. A header of version 2 is followed by an extended one, and the
+body by metadata. Lengths are mm, and 3D Slicer takes all of them as RAS.
+"""
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.base.errors import InputError
+from tissue.links.igtl_crc import crc64
+
+__all__ = [
+    "HEADER_BYTES", "STATUS_OK", "STATUS_SHUT_DOWN", "Header", "IgtlError", "content_of", "image_body", "ndarray_body",
+    "packed", "parse_header", "parse_transform", "polydata_body", "sensor_body", "si_unit", "status_body",
+    "string_body", "transform_body",
+]  # fmt: skip
+
+HEADER = struct.Struct(">H12s20sIIQQ")
+HEADER_BYTES = HEADER.size
+EXTENDED = struct.Struct(">HHII")
+"""Size of the extended header, of the metadata's header and of the metadata, and the message's number."""
+ENTRY = struct.Struct(">HHI")
+"""Length of a key, encoding and length of its value."""
+NEWEST = 3
+"""Highest version of a header whose layout is known; those from 2 on have the extended header."""
+STATUS_OK, STATUS_SHUT_DOWN = 1, 19
+ASCII, UTF8 = 3, 106
+"""Encodings by their numbers at IANA."""
+LONGEST_TEXT = 0xFFFF
+SCALARS = {"i1": 2, "u1": 3, "i2": 4, "u2": 5, "i4": 6, "u4": 7, "f4": 10, "f8": 11}
+"""Numbers of the types of scalars."""
+UNITS = {"m": 0x01, "g": 0x02, "s": 0x03, "Hz": 0x0A, "N": 0x0B, "Pa": 0x0C}
+"""Codes of units that are used here."""
+POINT_SCALARS = 0x00
+LITTLE, RAS = 2, 1
+"""Order of the bytes of an image's voxels, the only ones that are not big-endian, and the frame it is in."""
+
+
+class IgtlError(ValueError):
+    """Bytes that are no OpenIGTLink message; the text is half a sentence."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """The header of a message.
+
+    Attributes
+    ----------
+    version
+        1 without, 2 with extended header and metadata.
+    kind, name
+        Type of the message, and name of the device that it is from.
+    time_s
+        When it was sent, seconds since 1970.
+    body_bytes, crc
+        Length and checksum of the body.
+    """
+
+    version: int
+    kind: str
+    name: str
+    time_s: float
+    body_bytes: int
+    crc: int
+
+
+def packed(
+    kind: str, name: str, body: bytes, *, time_s: float, metadata: Mapping[str, str] | None = None, number: int = 0
+) -> bytes:
+    """A whole message; with metadata its header is of version 2, and ``number`` is that of the message."""
+    version = 1
+    if metadata is not None:
+        version, texts = 2, [(key.encode(), *_encoded(value)) for key, value in metadata.items()]
+        index = struct.pack(">H", len(texts)) + b"".join(ENTRY.pack(len(k), code, len(v)) for k, code, v in texts)
+        values = b"".join(key + value for key, _, value in texts)
+        body = EXTENDED.pack(EXTENDED.size, len(index), len(values), number) + body + index + values
+    seconds = int(time_s)
+    fraction = int((time_s - seconds) * 2**32)
+    return HEADER.pack(version, _short(kind, 12), _short(name, 20), seconds, fraction, len(body), crc64(body)) + body
+
+
+def parse_header(header: bytes | bytearray) -> Header:
+    """The header in the first bytes of a message.
+
+    Raises
+    ------
+    IgtlError
+        If they are none.
+    """
+    version, kind, name, seconds, fraction, size, crc = HEADER.unpack(header[:HEADER_BYTES])
+    if not 1 <= version <= NEWEST:
+        raise IgtlError(f"a header of version {version}")
+    texts = []
+    for text in (kind, name):
+        text = text.split(b"\0")[0]
+        if not (text.isascii() and text.decode("ascii").isprintable()):
+            raise IgtlError("a header whose type or name is no ASCII text")
+        texts.append(text.decode("ascii").strip())
+    if not texts[0]:
+        raise IgtlError("a header without a type")
+    time_s = seconds + fraction / 2**32
+    return Header(version=version, kind=texts[0], name=texts[1], time_s=time_s, body_bytes=size, crc=crc)
+
+
+def content_of(header: Header, body: bytes | bytearray) -> bytes:
+    """What a message holds, without extended header and metadata.
+
+    Raises
+    ------
+    IgtlError
+        If the checksum is another, or the sizes contradict each other.
+    """
+    if crc64(body) != header.crc:
+        raise IgtlError("a message with another checksum than its body has")
+    if header.version == 1:
+        return bytes(body)
+    if len(body) < EXTENDED.size:
+        raise IgtlError("a message that ends within its extended header")
+    first, index, values, _ = EXTENDED.unpack(body[: EXTENDED.size])
+    last = len(body) - index - values
+    if not EXTENDED.size <= first <= last:
+        raise IgtlError("an extended header with sizes that its message does not have")
+    return bytes(body[first:last])
+
+
+def transform_body(matrix: ArrayLike) -> bytes:
+    """TRANSFORM of a homogeneous matrix [mm], shape (4, 4): its columns without the last row."""
+    return np.asarray(matrix, dtype=float)[:3].T.astype(">f4").tobytes()
+
+
+def parse_transform(content: bytes) -> NDArray[np.float64]:
+    """The homogeneous matrix of a TRANSFORM [mm], shape (4, 4).
+
+    Raises
+    ------
+    IgtlError
+        If it is of another length or not finite.
+    """
+    if len(content) != 48:
+        raise IgtlError(f"a TRANSFORM of {len(content)} bytes instead of 48")
+    values = struct.unpack(">12f", content)
+    if not all(map(isfinite, values)):
+        raise IgtlError("a TRANSFORM that is not finite")
+    matrix = np.eye(4)
+    matrix[:3] = np.reshape(values, (4, 3)).T
+    return matrix
+
+
+def status_body(code: int, message: str, *, subcode: int = 0, name: str = "") -> bytes:
+    """STATUS with a code such as `STATUS_OK`, and its message."""
+    return struct.pack(">Hq20s", code, subcode, _short(name, 20)) + message.encode("ascii", "replace") + b"\0"
+
+
+def string_body(text: str) -> bytes:
+    """STRING, in UTF-8 where ASCII does not do; what is over 65535 bytes is cut off."""
+    code, encoded = _encoded(text)
+    encoded = encoded[:LONGEST_TEXT].decode("utf-8", "ignore").encode()
+    return struct.pack(">HH", code, len(encoded)) + encoded
+
+
+def sensor_body(values: ArrayLike, unit: int) -> bytes:
+    """SENSOR of at most 255 values in one unit, see `si_unit`."""
+    data = np.asarray(values, dtype=">f8").ravel()
+    return struct.pack(">BBQ", len(data), 0, unit) + data.tobytes()
+
+
+def si_unit(*powers: tuple[str, int]) -> int:
+    """A product of powers of units as SENSOR holds it, such as ``si_unit(("N", 1), ("m", 1))``."""
+    held = 0
+    for place, (unit, exponent) in enumerate(powers):
+        held |= (UNITS[unit] << 4 | exponent & 0xF) << (10 * (5 - place))
+    return held
+
+
+def ndarray_body(values: ArrayLike) -> bytes:
+    """NDARRAY of an array of numbers, last axis fastest."""
+    data = np.asarray(values)
+    head = struct.pack(f">BB{data.ndim}H", _scalar(data), data.ndim, *data.shape)
+    return head + data.astype(data.dtype.newbyteorder(">")).tobytes()
+
+
+def polydata_body(
+    points_mm: ArrayLike, polygons: ArrayLike, *, scalars: Mapping[str, NDArray[np.floating]] | None = None
+) -> bytes:
+    """POLYDATA of polygons that all have as many points.
+
+    Parameters
+    ----------
+    points_mm
+        Points [mm], shape (n, 3).
+    polygons
+        Numbers of the points of each polygon, shape (m, k).
+    scalars
+        Values at the points by name, shape (n,) each.
+    """
+    points, corners = np.asarray(points_mm, dtype=">f4").reshape(-1, 3), np.asarray(polygons)
+    cells = np.empty((len(corners), corners.shape[1] + 1), dtype=">u4")
+    cells[:, 0], cells[:, 1:] = corners.shape[1], corners
+    named = dict(scalars or {})
+    counts = (len(points), 0, 0, 0, 0, len(cells), cells.nbytes, 0, 0, len(named))
+    parts = [struct.pack(">10I", *counts), points.tobytes(), cells.tobytes()]
+    parts += [struct.pack(">BBI", POINT_SCALARS, 1, len(values)) for values in named.values()]
+    names = b"".join(name.encode("ascii") + b"\0" for name in named)
+    parts += [names + b"\0" * (len(names) % 2)]
+    parts += [np.asarray(values, dtype=">f4").tobytes() for values in named.values()]
+    return b"".join(parts)
+
+
+def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
+    """IMAGE of a scalar volume in RAS.
+
+    Parameters
+    ----------
+    voxels
+        Values by their indices i, j, k, shape (ni, nj, nk).
+    ijk_to_ras_mm
+        Homogeneous matrix from indices to places [mm], shape (4, 4); the message holds the volume's middle instead of
+        its first voxel.
+    """
+    matrix, shape = np.asarray(ijk_to_ras_mm, dtype=float), voxels.shape
+    if len(shape) != 3 or max(shape) > 0xFFFF:
+        raise InputError(f"voxels must have three axes of at most 65535, got shape {shape}: take fewer")
+    middle = matrix @ [*(0.5 * (np.array(shape) - 1.0)), 1.0]
+    placed = np.concatenate([matrix[:3, :3].T.ravel(), middle[:3]]).astype(">f4")
+    head = struct.pack(">HBBBB3H", 1, 1, _scalar(voxels), LITTLE, RAS, *shape) + placed.tobytes()
+    window = struct.pack(">6H", 0, 0, 0, *shape)
+    return head + window + voxels.astype(voxels.dtype.newbyteorder("<"), copy=False).tobytes(order="F")
+
+
+def _scalar(values: NDArray[np.generic]) -> int:
+    """Number of the type of an array's scalars."""
+    kind = f"{values.dtype.kind}{values.dtype.itemsize}"
+    if kind not in SCALARS:
+        raise InputError(f"values must be of a type that OpenIGTLink has, got {values.dtype}: use float64")
+    return SCALARS[kind]
+
+
+def _encoded(text: str) -> tuple[int, bytes]:
+    """Encoding and bytes of a text."""
+    return (ASCII if text.isascii() else UTF8), text.encode()
+
+
+def _short(text: str, size: int) -> bytes:
+    """A text as a field of fixed size; one that is longer would be cut off unseen."""
+    field = text.encode("ascii", "replace")
+    if len(field) > size:
+        raise InputError(f"a name in a message must have at most {size} characters, got {text!r}: shorten it")
+    return field

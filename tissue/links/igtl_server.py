@@ -1,0 +1,255 @@
+"""A server of OpenIGTLink that waits for nobody: any number of clients, each with what it has yet to be sent."""
+
+import selectors
+import socket
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TypeVar
+
+from meshes.base.errors import InputError
+from tissue.links.igtl_messages import HEADER_BYTES, Header, IgtlError, content_of, parse_header
+
+__all__ = ["Client", "IgtlServer", "Received"]
+
+Result = TypeVar("Result")
+
+LOCAL = "127.0.0.1"
+LARGEST = 1 << 16
+"""Bytes of the largest body that is read; a larger one is left out, see `OVERLARGE`."""
+OVERLARGE = 1 << 34
+"""Bytes from which a body is taken for garbage."""
+PIECE = 1 << 16
+"""Bytes that are read of a client at a time."""
+STALLED_S = 10.0
+"""How long a client may take nothing of what waits for it [s]."""
+MOST_CLIENTS = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Received:
+    """A message that has come.
+
+    Attributes
+    ----------
+    client
+        From whom.
+    header, content
+        Its header, and what it holds without extended header and metadata.
+    """
+
+    client: "Client"
+    header: Header
+    content: bytes
+
+
+class Client:
+    """One connection, which is read and written as far as that does not block.
+
+    Attributes
+    ----------
+    name
+        Address and port of its other end.
+    wants
+        Types of messages that it has asked for.
+    """
+
+    def __init__(self, connection: socket.socket, name: str) -> None:
+        self.connection, self.name, self.wants = connection, name, set[str]()
+        self._inbox, self._outbox = bytearray(), deque[memoryview]()
+        self._left_out, self._moved_s = 0, perf_counter()
+
+    @property
+    def waits(self) -> bool:
+        """Whether it has yet to take what was sent before."""
+        return bool(self._outbox)
+
+    def put(self, message: bytes) -> None:
+        """Send a message once those before it are gone."""
+        if not self._outbox:
+            self._moved_s = perf_counter()
+        self._outbox.append(memoryview(message))
+
+    def write(self) -> None:
+        """Write what the connection takes now.
+
+        Raises
+        ------
+        OSError
+            If it is closed, or nothing of it was taken for `STALLED_S`.
+        """
+        while self._outbox:
+            try:
+                taken = self.connection.send(self._outbox[0])
+            except BlockingIOError:
+                if perf_counter() - self._moved_s > STALLED_S:
+                    raise TimeoutError(f"took nothing for {STALLED_S:g} s") from None
+                return
+            self._moved_s = perf_counter()
+            self._outbox[0] = self._outbox[0][taken:]
+            if not self._outbox[0]:
+                self._outbox.popleft()
+
+    def read(self) -> list[tuple[Header, bytes]]:
+        """Header and content of every message that is complete now.
+
+        Raises
+        ------
+        OSError
+            If the connection is closed.
+        IgtlError
+            If what came is no OpenIGTLink.
+        """
+        with suppress(BlockingIOError):
+            came = self.connection.recv(PIECE)
+            if not came:
+                raise ConnectionResetError("it closed the connection")
+            self._inbox += came
+        found = []
+        while len(self._inbox) >= HEADER_BYTES or self._left_out:
+            if self._left_out:
+                gone = min(self._left_out, len(self._inbox))
+                del self._inbox[:gone]
+                self._left_out -= gone
+                if self._left_out:
+                    break
+                continue
+            header = parse_header(self._inbox)
+            if header.body_bytes > OVERLARGE:
+                raise IgtlError(f"a body of {header.body_bytes} bytes")
+            end = HEADER_BYTES + header.body_bytes
+            if header.body_bytes > LARGEST:
+                self._left_out = end
+                continue
+            if len(self._inbox) < end:
+                break
+            found.append((header, content_of(header, self._inbox[HEADER_BYTES:end])))
+            del self._inbox[:end]
+        return found
+
+
+class IgtlServer:
+    """Listens on a port of this machine, sends to all clients, and takes what they send.
+
+    Nothing of it blocks: what a client does not take at once waits for it, and a client that sends what is no
+    OpenIGTLink, or takes nothing for `STALLED_S`, is disconnected.
+
+    Parameters
+    ----------
+    port
+        Port to listen on; 0 for a free one.
+    host
+        Address to listen on; only programs of this machine reach the default.
+
+    Attributes
+    ----------
+    clients
+        Who is connected.
+    happened
+        Who came and went and why, a sentence each, until they are taken from the list.
+    accepted, refused
+        Clients that have come, and those that were disconnected for what they sent or did not take.
+
+    Raises
+    ------
+    InputError
+        If the port is taken, or the address is not one of this machine.
+    """
+
+    def __init__(self, port: int, *, host: str = LOCAL) -> None:
+        try:
+            self._listener = socket.create_server((host, port))
+        except (OSError, OverflowError) as error:
+            why = getattr(error, "strerror", None) or "no port"
+            raise InputError(
+                f"port must be a free port of {host}, got {port} ({why}): end the program that has it, or give another"
+            ) from None
+        self._listener.setblocking(False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self.clients: list[Client] = []
+        self.happened: list[str] = []
+        self.accepted = self.refused = 0
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Address and port that it listens on."""
+        host, port = self._listener.getsockname()
+        return host, port
+
+    def poll(self, timeout_s: float) -> tuple[list[Client], list[Received]]:
+        """Write and read what can be, and wait for news until a time is over; new clients, and what has come."""
+        for client in list(self.clients):
+            self._try(client, client.write)
+        fresh: list[Client] = []
+        received: list[Received] = []
+        for key, _ in self._selector.select(timeout_s):
+            client = key.data
+            if client is None:
+                fresh += self._accept()
+            elif client in self.clients:
+                came = self._try(client, client.read)
+                received += [Received(client=client, header=header, content=held) for header, held in came or []]
+        return fresh, received
+
+    def send(self, message: bytes, *, to: list[Client] | None = None, is_stream: bool = False) -> int:
+        """Send a message to all clients, or to some; to how many it went.
+
+        One of a stream is left out where the client has not yet taken what was before it: the next is newer.
+        """
+        sent = 0
+        for client in list(self.clients if to is None else to):
+            if not (is_stream and client.waits) and client in self.clients:
+                client.put(message)
+                sent += 1
+                self._try(client, client.write)
+        return sent
+
+    def close(self) -> None:
+        """Close all connections and the port."""
+        for client in list(self.clients):
+            self._leave(client)
+        self._selector.close()
+        self._listener.close()
+
+    def _accept(self) -> list[Client]:
+        """Take in who waits at the port."""
+        try:
+            connection, (host, port) = self._listener.accept()
+        except OSError:  # gone again meanwhile
+            return []
+        if len(self.clients) >= MOST_CLIENTS:
+            connection.close()
+            self.refused += 1
+            self.happened.append(f"{host}:{port} was refused: {MOST_CLIENTS} clients are connected")
+            return []
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client = Client(connection, f"{host}:{port}")
+        self._selector.register(connection, selectors.EVENT_READ, client)
+        self.clients.append(client)
+        self.accepted += 1
+        self.happened.append(f"{client.name} connected")
+        return [client]
+
+    def _try(self, client: Client, call: Callable[[], Result]) -> Result | None:
+        """Call something of a client, which is disconnected where that fails."""
+        try:
+            return call()
+        except (IgtlError, TimeoutError) as error:
+            self.refused += 1
+            problem = f"sent {error}" if isinstance(error, IgtlError) else str(error)
+            self._leave(client)
+            self.happened.append(f"{client.name} was disconnected: it {problem}")
+        except OSError:
+            self._leave(client)
+            self.happened.append(f"{client.name} disconnected")
+        return None
+
+    def _leave(self, client: Client) -> None:
+        """Forget a client."""
+        self.clients.remove(client)
+        self._selector.unregister(client.connection)
+        client.connection.close()

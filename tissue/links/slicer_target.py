@@ -1,0 +1,67 @@
+"""Where a client wants the tool: its transform judged, brought into the scene's frame and into the tool's box."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.links.igtl_messages import IgtlError, parse_transform
+from tissue.links.igtl_server import Client, Received
+from tissue.links.slicer_frame import SlicerFrame
+from tissue.simulation.live.surfaces import Start
+
+__all__ = ["TARGET", "SlicerTarget"]
+
+Array = NDArray[np.float64]
+TARGET = "tissue-target"
+"""Name of the transform that moves the tool."""
+OFF = 0.01
+"""How far the product of a rotation with its transpose may be from the identity; single precision is 1e-7."""
+
+
+class SlicerTarget:
+    """Takes transforms named `TARGET` of one client at a time.
+
+    Parameters
+    ----------
+    frame
+        Where the scene lies in RAS.
+    start
+        ``low_m``, ``high_m``: the box of the tip [m]; ``start_turn``: the tool's first orientation, shape (3, 3);
+        ``drives``: whether a client may move the tool.
+
+    Attributes
+    ----------
+    ignored
+        Transforms of that name that were not taken.
+    """
+
+    def __init__(self, frame: SlicerFrame, start: Start) -> None:
+        self._frame, self._turn = frame, start["start_turn"].astype(np.float64)
+        self._low, self._high = 1e3 * start["low_m"].astype(float), 1e3 * start["high_m"].astype(float)
+        self._drives = bool(start["drives"])
+        self._driver: Client | None = None
+        self.ignored = 0
+
+    def wanted(self, received: Received, clients: list[Client]) -> Array | None:
+        """The pose of a transform: tip [mm] in the scene, and turn from the first orientation (x, y, z, w), shape (7,).
+
+        None for a transform of another name, and for one that is ignored: no rigid motion, or of a second client while
+        the one that came first is connected.
+        """
+        if received.header.name != TARGET:
+            return None
+        if self._driver not in clients:
+            self._driver = received.client
+        try:
+            matrix = parse_transform(received.content)
+        except IgtlError:
+            matrix = np.zeros((4, 4))
+        turn = matrix[:3, :3]
+        rigid = np.abs(turn.T @ turn - np.eye(3)).max() < OFF and np.linalg.det(turn) > 0.0
+        if not (self._drives and rigid and self._driver is received.client):
+            self.ignored += 1
+            return None
+        from scipy.spatial.transform import Rotation
+
+        tip_mm, rotation = self._frame.pose_in_scene(matrix)
+        quaternion = Rotation.from_matrix(rotation @ self._turn.T).as_quat()
+        return np.concatenate([np.clip(tip_mm, self._low, self._high), quaternion])

@@ -1,0 +1,236 @@
+"""A live run for 3D Slicer: a process beside the ticks that publishes it by OpenIGTLink and takes a tool's pose."""
+
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.voxels.volume import FULL
+from tissue.builders.device import opens_device
+from tissue.builders.parts import Parts
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.motion.quaternion import Quaternion, Triple
+from tissue.scene.scene import Scene
+from tissue.simulation.live.shared import AnyArray, Layout
+from tissue.simulation.live.window import WindowProcess
+from tissue.simulation.run import DEADLINE_US
+from tissue.simulation.simulate import RunObserver
+
+__all__ = ["EVENTS", "EVENT_BYTES", "PORT", "SlicerLink", "SlicerObserver", "SlicerProcess", "require_link"]
+
+PORT = 18944
+"""Port of OpenIGTLink."""
+LOCAL = "127.0.0.1"
+EVENTS, EVENT_BYTES = 64, 256
+"""How many events are kept until they are sent, and how long each may be."""
+LOOK_TICKS = 200
+"""Ticks between two looks whether the process is still there."""
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlicerLink:
+    """How a live run is linked with 3D Slicer.
+
+    Attributes
+    ----------
+    port
+        Port of this machine at which it is published; 0 for a free one.
+    drives
+        Whether the transform ``tissue-target`` of a client moves the tool.
+    opened
+        Called with address and port once a client can connect, before the first tick.
+    """
+
+    port: int = PORT
+    drives: bool = False
+    opened: Callable[[str], object] | None = None
+
+
+def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
+    """Refuse a port that cannot be listened on and a second mover of the tool, before anything is built.
+
+    Raises
+    ------
+    InputError
+        If the port is none or another program has it, or a page or a real device moves the tool that this is to move.
+    """
+    mover = "--web" if web else scene.device if opens_device(scene) else None
+    if link.drives and mover is not None:
+        raise InputError(
+            f"--slicer-drives must be left out where something else moves the tool, got {mover}: leave one of both out"
+        )
+    try:
+        socket.create_server((LOCAL, link.port)).close()
+    except (OSError, OverflowError) as error:
+        why = getattr(error, "strerror", None) or "no port"
+        raise InputError(
+            f"--slicer-port must be a free port of {LOCAL}, got {link.port} ({why}): end the program that has it, or "
+            "give another"
+        ) from None
+
+
+class SlicerProcess(WindowProcess):
+    """What publishes a run, as the ticks see it: rows and events out, the wanted pose of the tool in.
+
+    Parameters
+    ----------
+    scene, parts, columns, low_m, high_m
+        As of a `WindowProcess`.
+    link
+        How it is linked.
+    """
+
+    module = "tissue.links.slicer_process"
+    place = "must publish the run for 3D Slicer"
+    remedy = "mend that, or run without --slicer"
+
+    def __init__(
+        self, scene: Scene, parts: Parts, columns: tuple[str, ...], *, low_m: Array, high_m: Array, link: SlicerLink
+    ) -> None:
+        layout: Layout = {
+            "target": ("float64", (7,)),
+            "target_turn": ("int64", (1,)),
+            "events": ("uint8", (EVENTS, EVENT_BYTES)),
+            "events_count": ("int64", (1,)),
+            "counts": ("int64", (4,)),
+        }
+        start: dict[str, AnyArray] = {"port": np.array(link.port), "start_turn": parts.motion.rotations()[0]}
+        start["drives"] = np.array(link.drives)
+        if parts.placement is not None:
+            start["file_to_scene_mm"] = parts.placement.file_to_scene_mm
+        if (volume := parts.volume) is not None:
+            density = volume.density_kg_m3 * (volume.fraction / FULL)
+            start["density_kg_m3"] = np.rint(density).astype(np.uint16)
+        super().__init__(scene, parts, columns, low_m=low_m, high_m=high_m, more_layout=layout, more_start=start)
+        self._target_turn, self._taken = self.arrays["target_turn"], 0
+        self._events, self._events_count = self.arrays["events"], self.arrays["events_count"]
+        self._ignored = "were no pose of a tool, or of a second client" if link.drives else "need --slicer-drives"
+
+    def target(self) -> tuple[Triple, Quaternion] | None:
+        """Where a client wants the tool [m], and how it is turned from its first orientation, if that is new."""
+        if int(self._target_turn[0]) == self._taken or (read := self.arrays.read("target")) is None:
+            return None
+        turn, values = read
+        self._taken = 2 * turn
+        x, y, z, a, b, c, d = values.tolist()
+        return (1e-3 * x, 1e-3 * y, 1e-3 * z), (a, b, c, d)
+
+    def report(self, what: str) -> None:
+        """Send a sentence."""
+        text = np.frombuffer(what.encode()[:EVENT_BYTES], dtype=np.uint8)
+        slot = self._events[int(self._events_count[0]) % EVENTS]
+        slot[: len(text)], slot[len(text) :] = text, 0
+        self._events_count[0] += 1
+
+    def note(self) -> str:
+        """What was sent to how many clients so far, in half a sentence."""
+        sent, clients, refused, ignored = self.arrays["counts"].tolist()
+        words = [f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"]
+        if refused:
+            words.append(f"{refused} disconnected for what they sent or did not take")
+        if ignored:
+            words.append(f"{ignored} transforms tissue-target ignored, which {self._ignored}")
+        return ", ".join(words)
+
+
+class SlicerObserver:
+    """Goes along with a live run and publishes it; the ticks never wait for it.
+
+    Parameters
+    ----------
+    scene
+        What is run.
+    along
+        The run's other observer, whose last columns of timing are how late a tick began and what was skipped [µs].
+    link
+        How it is linked.
+    box
+        Gives the corners of the box in which a client may move the tool [m].
+    mouse
+        The device that a client's transform moves; None for none.
+
+    Attributes
+    ----------
+    note
+        What was published, once the run has ended.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        along: RunObserver,
+        link: SlicerLink,
+        *,
+        box: Callable[[Parts], tuple[Array, Array]],
+        mouse: MouseDevice | None = None,
+    ) -> None:
+        self.timing_columns = along.timing_columns
+        self.note = ""
+        self._scene, self._along, self._link, self._box, self._mouse = scene, along, link, box, mouse
+        self._process: SlicerProcess | None = None
+        self._failed: list[tuple[float, str]] = []
+        self._missed, self._skipped_us = 0, 0.0
+
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """Begin to publish."""
+        low, high = self._box(parts)
+        options: dict[str, Any] = {"low_m": low, "high_m": high, "link": self._link}
+        self._process = SlicerProcess(self._scene, parts, columns, **options)
+        self._start, self._scale = parts.motion.sweep_m()[0], self._scene.coupling.motion_scale
+        try:
+            if self._link.opened is not None:
+                self._link.opened(self._process.address)
+            self._along.on_begin(parts, columns)
+        except BaseException:
+            self._process.end()
+            raise
+
+    def before_tick(self, index: int) -> None:
+        """Wait with the other observer; take where a client wants the tool by then."""
+        self._along.before_tick(index)
+        if self._mouse is None or self._process is None:
+            return
+        wanted = self._process.target()
+        if wanted is not None:
+            x, y, z = (self._start + (np.array(wanted[0]) - self._start) / self._scale).tolist()
+            self._mouse.push((x, y, z), wanted[1])
+
+    def on_tick(self, index: int, row: Array, times: Array) -> bool:
+        """Show the tick; whether the run goes on, which it does without the link unless that moves the tool."""
+        goes_on = self._along.on_tick(index, row, times)
+        process = self._process
+        if process is None:
+            return goes_on
+        tick_us, late_us, skipped_us = float(times[0]), float(times[-2]), float(times[-1])
+        self._missed += tick_us + late_us > DEADLINE_US
+        self._skipped_us += skipped_us
+        process.show(index, row, (tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us))
+        if index % LOOK_TICKS == 0 and (words := process.failed()) is not None:
+            what = "the link to 3D Slicer ended by itself" + (", and the run with it" if self._mouse else "")
+            self._failed.append((float(row[0]), f"{what}: {words}"))
+            self._end()
+            return goes_on and self._mouse is None
+        return goes_on
+
+    def on_event(self, time_s: float, what: str) -> None:
+        """Publish what has happened."""
+        if self._process is not None:
+            self._process.report(f"{time_s:.3f} s: {what}")
+
+    def on_end(self) -> list[tuple[float, str]]:
+        """End the other observer and the link."""
+        try:
+            return self._along.on_end() + self._failed
+        finally:
+            self._end()
+
+    def _end(self) -> None:
+        if self._process is not None:
+            process, self._process = self._process, None
+            process.end()
+            self.note = process.note()

@@ -1,0 +1,78 @@
+"""Where a tool is wanted: moved by pixels of a view, along the tool's axis and by keys, within a box."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.viewer.plotter import Plotter
+
+__all__ = ["KEY_MM", "NOTCH_MM", "Target"]
+
+Array = NDArray[np.float64]
+NOTCH_MM, KEY_MM = 0.5, 0.5
+"""Travel of a notch of the wheel and of a press of a key [mm]."""
+DEEPER, HIGHER = ("Next", "s"), ("Prior", "w")
+ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0.0, -1.0)}
+"""Directions right and up in the view."""
+
+
+class Target:
+    """The wanted place of a tool.
+
+    Parameters
+    ----------
+    plotter
+        The view.
+    start_mm
+        Where it begins [mm].
+    axis
+        The tool's axis from tip to shank, shape (3,).
+    low_mm, high_mm
+        Corners of the box [mm].
+
+    Attributes
+    ----------
+    target_mm
+        Where the tool is wanted [mm], shape (3,).
+    """
+
+    def __init__(self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array) -> None:
+        self._plotter, self._axis, self._low, self._high = plotter, axis, low_mm, high_mm
+        self._start: Array = np.array(start_mm, dtype=float)
+        self.target_mm = self._start.copy()
+
+    def reset(self) -> None:
+        """Go back to where it began."""
+        self.target_mm = self._start.copy()
+
+    def along(self, travel_mm: float) -> None:
+        """Go along the tool's axis [mm], positive out of the tissue."""
+        self._go(travel_mm * self._axis)
+
+    def across(self, right_mm: float, up_mm: float) -> None:
+        """Go in the plane of the view [mm]."""
+        camera = self._plotter.camera
+        forward = np.array(camera.GetDirectionOfProjection())
+        right = np.cross(forward, camera.GetViewUp())
+        right /= np.linalg.norm(right)
+        self._go(right_mm * right + up_mm * np.cross(right, forward))
+
+    def press(self, key: str) -> None:
+        """Go by a key, by VTK's name of it; one that moves nothing is left."""
+        if key in ARROWS:
+            right, up = ARROWS[key]
+            self.across(KEY_MM * right, KEY_MM * up)
+        elif key in DEEPER:
+            self.along(-KEY_MM)
+        elif key in HIGHER:
+            self.along(KEY_MM)
+
+    @property
+    def mm_per_pixel(self) -> float:
+        """Size of a pixel in the plane of the view through the target [mm]."""
+        camera = self._plotter.camera
+        away = float((self.target_mm - camera.GetPosition()) @ np.array(camera.GetDirectionOfProjection()))
+        tall = self._plotter.window_size[1]
+        return 2.0 * max(away, 1.0) * float(np.tan(np.radians(0.5 * camera.GetViewAngle()))) / tall
+
+    def _go(self, travel_mm: Array) -> None:
+        self.target_mm = np.clip(self.target_mm + travel_mm, self._low, self._high)

@@ -1,0 +1,163 @@
+"""The server of a page: one page at a time, on this machine alone, with pictures and figures over a WebSocket."""
+
+import asyncio
+import json
+from collections.abc import Callable
+from pathlib import Path
+from secrets import token_urlsafe
+from typing import Any, Protocol
+
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from tissue.viewer.web.gate import HOST, SOCKET, gate, new_token
+from tissue.viewer.web.messages import LARGEST, MessageError, Values, parse
+
+__all__ = ["PageServer", "Session", "page_text"]
+
+PAGE = Path(__file__).parent / "page"
+FRAME_S, REST_S = 1.0 / 30.0, 0.004
+"""Time between two frames, and how long there is at least for what the page sends [s]."""
+LEFT_S = 8.0
+"""How long a page may be closed before what it shows ends [s]: time enough to load it again."""
+HEARTBEAT_S = 5.0
+"""Time in which a page that does not answer is taken as closed [s]."""
+REPLACED = 4001
+"""Code with which a page is closed that another one takes the place of."""
+POLICY = (
+    "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src 'self' blob:; "
+    "connect-src ws://{home}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""What the page may load: what stands in it, and its socket."""
+
+
+class Session(Protocol):
+    """What a page shows and moves."""
+
+    kind: str
+    """Which page it is: ``live`` or ``view``."""
+    over: bool
+    """Whether it has ended."""
+
+    def hello(self) -> dict[str, Any]:
+        """What a page that has just opened needs."""
+        ...
+
+    def take(self, do: str, values: Values) -> None:
+        """Do what a page asks for."""
+        ...
+
+    def attend(self, attended: bool) -> None:
+        """A page is there, or has gone."""
+        ...
+
+    def leave(self) -> None:
+        """No page came back: end it."""
+        ...
+
+    def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
+        """Go on by one frame; what is new in figures, and where a picture can be taken a new one."""
+        ...
+
+
+class PageServer:
+    """Serves a session to one page.
+
+    Parameters
+    ----------
+    session
+        What is shown.
+    token
+        What the address must hold; default a new random one.
+
+    Attributes
+    ----------
+    address
+        Address of the page, once `start` has been awaited.
+    """
+
+    def __init__(self, session: Session, *, token: str | None = None) -> None:
+        self._session, self._token = session, token or new_token()
+        self._port, self.address = 0, ""
+        self._socket: web.WebSocketResponse | None = None
+        self._drawing, self._left_s, self._sent = True, 0.0, False
+
+    async def serve(self, opened: Callable[[str], object], *, port: int = 0) -> None:
+        """Serve until the session is over; ``opened`` is called with the address."""
+        app = web.Application(middlewares=[gate(self._token, lambda: self._port)])
+        app.router.add_get("/", self._page)
+        app.router.add_get(SOCKET, self._connect)
+        runner = web.AppRunner(app, access_log=None, handle_signals=False)
+        await runner.setup()
+        try:
+            site = web.TCPSite(runner, HOST, port)
+            await site.start()
+            self._port = int(runner.addresses[0][1])
+            self.address = f"http://{HOST}:{self._port}/?token={self._token}"
+            opened(self.address)
+            await self._run()
+        finally:
+            if self._socket is not None:
+                await self._socket.close(code=WSCloseCode.OK, message=b"over")
+            await runner.cleanup()
+
+    async def _run(self) -> None:
+        """Frame after frame until it is over."""
+        loop, session, opened = asyncio.get_running_loop(), self._session, False
+        while not session.over:
+            began = loop.time()
+            socket = self._socket
+            opened = opened or socket is not None
+            if socket is None and opened and began - self._left_s > LEFT_S:
+                session.leave()
+            figures, picture = session.frame(socket is not None and self._drawing)
+            if socket is not None and not socket.closed:
+                try:
+                    if figures is not None:
+                        await socket.send_str(json.dumps(figures))
+                    if picture is not None:
+                        self._drawing = False
+                        await socket.send_bytes(picture)
+                except ConnectionError:
+                    pass  # its own loop finds it closed
+            await asyncio.sleep(max(FRAME_S - (loop.time() - began), REST_S))
+
+    async def _page(self, request: web.Request) -> web.Response:
+        nonce = token_urlsafe(12)
+        policy = POLICY.format(nonce=nonce, home=f"{HOST}:{self._port}")
+        text = page_text(self._session.kind, nonce)
+        return web.Response(text=text, content_type="text/html", headers={"Content-Security-Policy": policy})
+
+    async def _connect(self, request: web.Request) -> web.WebSocketResponse:
+        socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=LARGEST)
+        await socket.prepare(request)
+        before, self._socket = self._socket, socket
+        self._drawing = True
+        if before is not None:
+            await before.close(code=REPLACED, message=b"another page shows it now")
+        session = self._session
+        await socket.send_str(json.dumps({"hello": session.hello()}))
+        session.attend(True)
+        try:
+            async for message in socket:
+                if message.type is not WSMsgType.TEXT:
+                    raise MessageError("a message must be text")
+                do, values = parse(message.data)
+                if do == "seen":
+                    self._drawing = True
+                else:
+                    session.take(do, values)
+        except MessageError as error:
+            await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=str(error).encode())
+        finally:
+            if self._socket is socket:
+                self._socket, self._left_s = None, asyncio.get_running_loop().time()
+                session.attend(False)
+        return socket
+
+
+def page_text(kind: str, nonce: str) -> str:
+    """A page as one text, so that it loads nothing more and its address alone holds the token."""
+    text = (PAGE / f"{kind}.html").read_text("utf-8")
+    script = "\n".join((PAGE / name).read_text("utf-8") for name in ("common.js", "plot.js", f"{kind}.js"))
+    style = (PAGE / "page.css").read_text("utf-8")
+    return text.replace("{{nonce}}", nonce).replace("{{style}}", style).replace("{{script}}", script)

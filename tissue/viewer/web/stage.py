@@ -1,0 +1,86 @@
+"""What a page shows in 3D: a plotter without a window, turned by the page, as pictures."""
+
+from collections.abc import Callable
+from io import BytesIO
+
+import numpy as np
+
+from tissue.viewer.plotter import Plotter
+
+__all__ = ["Stage"]
+
+MOST_PX = 1_000_000
+"""Largest picture [pixel]: more takes OpenGL in software longer than a frame."""
+QUALITY = 88
+"""Of a picture as JPEG."""
+TURN_DEG = 180.0
+"""Turn of the view by a drag over the height of the picture."""
+
+
+class Stage:
+    """A plotter whose view is turned and drawn for a page.
+
+    Parameters
+    ----------
+    plotter
+        PyVista's plotter, off screen.
+    aim
+        Points the camera; called when the size changes, until the view was turned.
+
+    Attributes
+    ----------
+    changed
+        Whether what is shown is not what was drawn last.
+    """
+
+    def __init__(self, plotter: Plotter, aim: Callable[[], None]) -> None:
+        self._plotter, self._aim = plotter, aim
+        self._turned = False
+        self.changed = True
+        plotter.show(auto_close=False, interactive=False)
+
+    @property
+    def tall_px(self) -> int:
+        """Height of a picture [pixel]."""
+        return int(self._plotter.window_size[1])
+
+    def resize(self, wide: float, tall: float) -> None:
+        """Draw pictures of this shape, and of this size [pixel] where that is not too much."""
+        scale = min(1.0, float(np.sqrt(MOST_PX / (wide * tall))))
+        size = [int(scale * wide) // 2 * 2, int(scale * tall) // 2 * 2]
+        if size != list(self._plotter.window_size):
+            self._plotter.window_size = size
+            if not self._turned:
+                self._aim()
+            self.changed = True
+
+    def turn(self, right: float, up: float) -> None:
+        """Turn the view by a drag, in shares of the picture's height."""
+        camera = self._plotter.camera
+        camera.Azimuth(-TURN_DEG * right)
+        camera.Elevation(-TURN_DEG * up)
+        camera.OrthogonalizeViewUp()
+        self._viewed()
+
+    def zoom(self, by: float) -> None:
+        """Bring the camera nearer by a factor."""
+        camera = self._plotter.camera
+        if camera.GetParallelProjection():
+            camera.SetParallelScale(camera.GetParallelScale() / by)
+        else:
+            camera.Dolly(by)
+        self._viewed()
+
+    def picture(self) -> bytes:
+        """What is shown, as JPEG."""
+        from PIL import Image
+
+        self._plotter.render()
+        self.changed = False
+        output = BytesIO()
+        Image.fromarray(np.asarray(self._plotter.image)[..., :3]).save(output, "JPEG", quality=QUALITY, subsampling=0)
+        return output.getvalue()
+
+    def _viewed(self) -> None:
+        self._plotter.renderer.ResetCameraClippingRange()
+        self._turned = self.changed = True
