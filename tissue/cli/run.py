@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 from cyclopts import Parameter
 
 from meshes.base.progress import silent
+from tissue.cli.run_table import print_summary
 from tissue.cli.terminal import console, left_out, progress, whole
 
 if TYPE_CHECKING:
     from tissue.api.run import Run
     from tissue.scene.scene import Scene
-    from tissue.simulation.run_summary import Summary
+    from tissue.simulation.live.slicer import SlicerLink
 
 __all__ = ["run"]
 
@@ -39,6 +40,9 @@ def run(
     each_run: Annotated[bool, Parameter(negative="")] = False,
     live: Annotated[bool, Parameter(negative="")] = False,
     web: Annotated[bool, Parameter(negative="")] = False,
+    slicer: Annotated[bool, Parameter(negative="")] = False,
+    slicer_port: Annotated[int | None, Parameter(converter=whole)] = None,
+    slicer_drives: Annotated[bool, Parameter(negative="")] = False,
     ros2: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
@@ -83,6 +87,12 @@ def run(
         Run against the wall clock, in a window with mouse and keys as device, or without a display scripted.
     web
         With --live: in a browser on this machine, at an address that is printed, in place of a window.
+    slicer
+        With --live: publish the run for 3D Slicer and other programs on this machine by OpenIGTLink.
+    slicer_port
+        With --slicer: port to publish at; default 18944.
+    slicer_drives
+        With --slicer: the transform tissue-target of 3D Slicer moves the tool, and no window opens.
     ros2
         With --live: publish pose, velocity and force on topics of ROS 2, /tissue/measured_cp and so on.
     overwrite
@@ -100,9 +110,11 @@ def run(
     overrides = _overrides(set_, fidelity, duration_s=duration_s)
     _refuse_web(web, live=live)
     left_out("without --live", "give --live", ros2=ros2 and not live)
-    loaded = _load(scene, overrides, live=live, web=web)
+    link = _slicer_link(slicer, slicer_port, slicer_drives, live=live)
+    by_hand = web or slicer_drives
+    loaded = _load(scene, overrides, live=live, by_hand=by_hand)
     if seed is not None and (band is None or loaded.device != "none"):  # without a device it is that of a band alone
-        loaded = _load(scene, overrides | {"seed": seed}, live=live, web=web)
+        loaded = _load(scene, overrides | {"seed": seed}, live=live, by_hand=by_hand)
     _refuse_unused(loaded, live=live, compute=compute, cores=cores, allow_unstable=allow_unstable)
     if band is not None:
         left_out("with --live", "run the scene without it", band=band if live else None)
@@ -119,7 +131,7 @@ def run(
         "compute": compute, "cores": cores, "out": folder, "overwrite": overwrite, "allow_unstable": allow_unstable,
     }  # fmt: skip
     with _naming_stop(folder):
-        finished = _simulated(loaded, settings, live=live, web=web, ros2=ros2, duration_s=duration_s)
+        finished = _simulated(loaded, settings, live=live, web=web, link=link, ros2=ros2, duration_s=duration_s)
         simulated = perf_counter()
         with progress() as report:
             finished.save(folder, formats=format_, pictures=False if no_pictures else pictures, progress=report)
@@ -130,7 +142,7 @@ def run(
                     band, seed=seed, workers=workers, scheduler=scheduler, each_run=each_run, compute=compute,
                     cores=cores, pictures=drawn, progress=report,
                 )  # fmt: skip
-    _print_summary(finished.summary, folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
+    print_summary(finished.summary, folder, wall_s=perf_counter() - started, saving_s=perf_counter() - simulated)
 
 
 def _overrides(changes: Sequence[str], fidelity: Sequence[str], *, duration_s: float | None) -> dict[str, Any]:
@@ -146,12 +158,12 @@ def _overrides(changes: Sequence[str], fidelity: Sequence[str], *, duration_s: f
     return overrides
 
 
-def _load(scene: str, overrides: dict[str, Any], *, live: bool, web: bool) -> "Scene":
-    """The scene; a live one is moved by a page, or by a window where there is a display."""
+def _load(scene: str, overrides: dict[str, Any], *, live: bool, by_hand: bool) -> "Scene":
+    """The scene; a live one is moved by a page or 3D Slicer, or by a window where there is a display."""
     from tissue.scene.load import load_scene
     from tissue.system.offscreen import await_display
 
-    return load_scene(scene, overrides, live=live and (web or await_display() is None))
+    return load_scene(scene, overrides, live=live and (by_hand or await_display() is None))
 
 
 def _refuse_web(web: bool, *, live: bool) -> None:
@@ -165,6 +177,18 @@ def _refuse_web(web: bool, *, live: bool) -> None:
         require_web()
 
 
+def _slicer_link(slicer: bool, port: int | None, drives: bool, *, live: bool) -> "SlicerLink | None":
+    """The link with 3D Slicer that is asked for."""
+    left_out("without --live", "give --live, or open the files of a run that has ended", slicer=slicer and not live)
+    if not slicer:
+        left_out("without --slicer", "give --live --slicer, or remove it", slicer_port=port, slicer_drives=drives)
+        return None
+    from tissue.simulation.live.slicer import PORT, SlicerLink
+
+    opened = lambda address: console.print(f"3D Slicer: connect a client to {address}")  # noqa: E731
+    return SlicerLink(port=PORT if port is None else port, drives=drives, opened=opened)
+
+
 def _refuse_unused(scene: "Scene", *, live: bool, compute: str, cores: int | None, allow_unstable: bool) -> None:
     """Refuse options that the scene does not use."""
     by_hand = scene.device != "none" or live
@@ -175,7 +199,14 @@ def _refuse_unused(scene: "Scene", *, live: bool, compute: str, cores: int | Non
 
 
 def _simulated(
-    scene: "Scene", settings: "_Settings", *, live: bool, web: bool, ros2: bool, duration_s: float | None
+    scene: "Scene",
+    settings: "_Settings",
+    *,
+    live: bool,
+    web: bool,
+    link: "SlicerLink | None",
+    ros2: bool,
+    duration_s: float | None,
 ) -> "Run":
     """The finished run, with its settings chosen where a fidelity is asked for."""
     chosen: dict[str, str] = {}
@@ -195,9 +226,9 @@ def _simulated(
             from tissue.evaluation.charts.fidelity import with_fidelity
 
             scene, chosen["fidelity"] = with_fidelity(scene, report=report)
-        console.print(f"live: {moved_by(scene, web=web)[1]}; Ctrl-C ends it")
+        console.print(f"live: {moved_by(scene, web=web, slicer=link is not None and link.drives)[1]}; Ctrl-C ends it")
         opened = (lambda address: console.print(f"open {address}")) if web else None
-        finished = simulate_live(scene, duration_s=duration_s, opened=opened, ros2=ros2, **settings)
+        finished = simulate_live(scene, duration_s=duration_s, opened=opened, slicer=link, ros2=ros2, **settings)
     finished.parts.notes |= chosen
     finished.draw = draw_pictures
     return Run(finished)
@@ -232,65 +263,3 @@ def _written(folder: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return found.st_mtime_ns, found.st_ino
-
-
-def _print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: float) -> None:
-    """The table a person reads after a run."""
-    from rich.table import Table
-
-    table = Table(title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s")
-    table.add_column("quantity")
-    table.add_column("value", justify="right")
-    for layer, removed in summary["removed_mm3"].items() if summary["cuts"] else ():
-        table.add_row(f"removed {layer}", f"{removed:.2f} of {summary['start_mm3'][layer]:.1f} mm³")
-    band = summary.get("band")
-    for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N·m")):
-        table.add_row(f"{name}, peak / mean in contact", _pair(summary[key], unit))
-        if band is not None and band[key]["peak"]["p95"] > 0.0:
-            table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
-    tick = summary["tick_us"]
-    table.add_row("tick, median / 99 % / max", f"{tick['median']:.0f} / {tick['p99']:.0f} / {tick['max']:.0f} µs")
-    table.add_row("missed 1 ms deadlines", f"{summary['missed_deadlines']} of {summary['simulated_s'] * 1e3:.0f}")
-    for quantity, value in _scheduling_rows(summary):
-        table.add_row(quantity, value)
-    if "late_us" in summary:
-        late = summary["late_us"]
-        table.add_row(
-            "delay of ticks, median / 99 % / max", f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs"
-        )
-        table.add_row("wall clock skipped", f"{summary['skipped_ms']:.1f} ms")
-    table.add_row("writing files and pictures", f"{saving_s:.1f} s")
-    console.print(table)
-    for event in summary["events"]:
-        console.print(f"at {event['time_s']:.3f} s: {event['what']}")
-    for name, note in summary["notes"].items():
-        console.print(f"{name}: {note}")
-    if band is not None:
-        from tissue.uncertainty.sentences import band_lines
-
-        for line in band_lines(band):
-            console.print(f"band: {line}")
-    console.print(f"files in {folder}")
-
-
-def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
-    """How late the machine itself was, and what was chosen for launches and background work."""
-    if (gaps := summary.get("machine_gaps")) is not None:
-        met = f"{gaps['count']} in {gaps['spun_s']:.2g} s, longest {1e-3 * gaps['longest_us']:.2g} ms"
-        over = f"gaps of the machine over {1e-3 * gaps['least_us']:g} ms, expected in these ticks"
-        yield over, f"{gaps['expected_in_ticks']:.1f} ({met})"
-    if (chosen := summary.get("scheduling")) is not None:
-        large = f"{chosen['split_launches']} of {chosen['large_launches']} large ones"
-        yield "launches split over cores", f"{large}, {chosen['cores']} cores"
-        if "background" in chosen:
-            yield "while the ticks go on", chosen["background"]
-
-
-def _pair(figures: dict[str, float], unit: str) -> str:
-    return f"{figures['peak']:.3g} / {figures['mean_in_contact']:.3g} {unit}"
-
-
-def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
-    """Ends of the 90 % intervals of the peak and of the mean."""
-    peak, mean = (f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}" for name in ("peak", "mean_in_contact"))
-    return f"{peak} / {mean} {unit}"

@@ -19,7 +19,6 @@ from tissue.links.slicer_frame import SlicerFrame
 from tissue.links.slicer_target import SlicerTarget
 from tissue.scene.scene import Scene
 from tissue.simulation.live.shared import SharedArrays
-from tissue.simulation.live.slicer import EVENTS
 from tissue.simulation.live.surfaces import Start, tissue_surface
 
 __all__ = ["Publisher"]
@@ -157,8 +156,9 @@ class Publisher:
     def _send_events(self) -> None:
         """Send the events that are new, as far as they are still held."""
         count = int(self._arrays["events_count"][0])
-        for number in range(max(self._event, count - EVENTS), count):
-            text = bytes(self._arrays["events"][number % EVENTS]).rstrip(b"\0").decode("utf-8", "ignore")
+        held = self._arrays["events"]
+        for number in range(max(self._event, count - len(held)), count):
+            text = bytes(held[number % len(held)]).rstrip(b"\0").decode("utf-8", "ignore")
             self._send(self._content.event_message(text))
         self._event = count
 

@@ -20,7 +20,7 @@ from tissue.simulation.live.window import WindowProcess
 from tissue.simulation.run import DEADLINE_US
 from tissue.simulation.simulate import RunObserver
 
-__all__ = ["EVENTS", "EVENT_BYTES", "PORT", "SlicerLink", "SlicerObserver", "SlicerProcess", "require_link"]
+__all__ = ["PORT", "SlicerLink", "SlicerObserver", "SlicerProcess", "require_link"]
 
 PORT = 18944
 """Port of OpenIGTLink."""
