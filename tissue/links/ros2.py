@@ -23,7 +23,7 @@ FRAME = "tissue_scene"
 DEPTH = 10
 """Messages that are kept for a reader that is slow, as CRTK's client keeps them."""
 STATE_S = 1.0
-"""Time between two messages of the state that tell nothing new [s]."""
+"""Time between two messages of a state that stays [s]."""
 PAUSED_S = 0.5
 """Time without a tick after which the run counts as paused [s]."""
 LOOK_S = 1e-3

@@ -24,7 +24,7 @@ class TickPriority:
     Linux: real-time (SCHED_FIFO), which its user may be granted as ``rtprio`` in /etc/security/limits.conf, else a
     niceness below 0; of the thread alone, and neither threads nor processes that it starts inherit the first. Windows:
     the process is of high priority. macOS: the thread is of the class of what a person interacts with. What is not
-    granted is said in `granted` and never ends a run.
+    granted is noted in `granted` and never ends a run.
 
     Attributes
     ----------

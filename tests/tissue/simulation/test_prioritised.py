@@ -35,12 +35,12 @@ def live_by(priority, changes=HALF, device=None):
 def test_the_thread_of_the_ticks_has_its_priority_raised_while_they_run():
     priority = FakePriority()
     _, observer = live_by(priority, {"duration_s": 0.05})
-    own = threading.get_native_id()
-    assert priority.asked == [("begin", own), ("end", own)] and observer.note == "raised"
+    this = threading.get_native_id()
+    assert priority.asked == [("begin", this), ("end", this)] and observer.note == "raised"
     priority = FakePriority()
     live_by(priority, {"duration_s": 0.05}, MouseDevice((0.0, 0.0, 0.0)))
     threads = [thread for _, thread in priority.asked]
-    assert [what for what, _ in priority.asked] == ["begin", "end"] and threads[1] == own
+    assert [what for what, _ in priority.asked] == ["begin", "end"] and threads[1] == this
 
 
 def test_ticks_that_leave_nothing_to_others_lose_their_priority(monkeypatch):

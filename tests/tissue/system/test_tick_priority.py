@@ -15,7 +15,7 @@ linux = pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="Linux 
 
 
 class FakeScheduler:
-    """Calls of Linux that keep what they were given, and that grant as much as they are told to."""
+    """Calls of Linux that keep what they were given, and that grant as much as a test wants."""
 
     def __init__(self, monkeypatch, *, realtime, nice, clear=True):
         self.policy, self.niceness, self.calls, self._clear = (0, 0), 0, [], clear
@@ -78,7 +78,7 @@ def test_a_niceness_is_what_is_granted_next(monkeypatch):
 
 
 @linux
-def test_nothing_granted_is_said_and_ends_nothing(monkeypatch):
+def test_nothing_granted_is_noted_and_ends_nothing(monkeypatch):
     fake, priority = FakeScheduler(monkeypatch, realtime=False, nice=False), TickPriority()
     priority.begin()
     assert priority.granted.startswith("ordinary priority: no other is granted, see rtprio and nice")
@@ -87,7 +87,7 @@ def test_nothing_granted_is_said_and_ends_nothing(monkeypatch):
 
 
 @linux
-def test_the_system_itself_grants_it_or_says_no_and_a_child_does_not_inherit_it():
+def test_the_system_itself_grants_it_or_not_and_a_child_does_not_inherit_it():
     """Whatever this person may: after it all is as it was."""
     before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
     priority = TickPriority()

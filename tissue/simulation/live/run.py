@@ -16,13 +16,12 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.builders.device import opened_device, opens_device
 from tissue.builders.parts import Parts
-from tissue.builders.registry import motion_of
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
 from tissue.simulation.live.clock import BEHIND_S, WallClock
 from tissue.simulation.live.page import Page, require_web
 from tissue.simulation.live.prioritised import Prioritised
+from tissue.simulation.live.reach import reach_m, start_m
 from tissue.simulation.live.ros2 import Ros2Observer, require_ros2
 from tissue.simulation.live.slicer import SlicerLink, SlicerObserver, require_link
 from tissue.simulation.live.window import WindowProcess
@@ -44,9 +43,6 @@ LOOK_TICKS = 200
 """Ticks between two looks whether the window's process is still there and draws."""
 STALLED_S, HELD_S = 3.0, 60.0
 """How long a window may draw nothing before the run waits for it, and how long it waits [s]."""
-ABOVE_M, BELOW_M = 0.02, 0.01
-"""How far the pointer may draw a tool back from the scripted path and press a probe beyond it [m]; a tool that cuts it
-presses as far as there is bone beyond what the script reaches."""
 
 
 def moved_by(scene: Scene, *, web: bool = False, slicer: bool = False) -> tuple[bool, str]:
@@ -138,16 +134,16 @@ def live(
         cores = cores or max((os.cpu_count() or 2) - 1, 1)
     try:
         while True:
-            mouse = MouseDevice(_start_m(scene)) if by_mouse else None
+            mouse = MouseDevice(start_m(scene)) if by_mouse else None
             observer = LiveObserver(scene, None if by_slicer else mouse, WallClock(TICK_S), page)
             prioritised = Prioritised(observer)
             along: RunObserver = prioritised
             linked = topics = None
             if slicer is not None:
                 moved = mouse if by_slicer else None
-                along = linked = SlicerObserver(scene, along, slicer, box=partial(_box, scene), mouse=moved)
+                along = linked = SlicerObserver(scene, along, slicer, box=partial(reach_m, scene), mouse=moved)
             if ros2:
-                along = topics = Ros2Observer(scene, along, box=partial(_box, scene))
+                along = topics = Ros2Observer(scene, along, box=partial(reach_m, scene))
             run = simulate(
                 scene,
                 compute=compute,
@@ -208,12 +204,12 @@ class LiveObserver:
         self._events: list[tuple[float, str]] = []
         self._handler: Callable[[int, FrameType | None], object] | int | None = None
         self._frames, self._drawn_s = -1, 0.0
-        self._start, self._scale = np.array(_start_m(scene)), scene.coupling.motion_scale
+        self._start, self._scale = np.array(start_m(scene)), scene.coupling.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from here on Ctrl-C ends the run after its tick."""
         if self._mouse is not None:
-            low, high = _box(self._scene, parts)
+            low, high = reach_m(self._scene, parts)
             show = WindowProcess if self._page is None else self._page.show
             self._window = show(self._scene, parts, columns, low_m=low, high_m=high)
         if threading.current_thread() is threading.main_thread():
@@ -296,18 +292,3 @@ class LiveObserver:
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self._stopped = True
-
-
-def _start_m(scene: Scene) -> tuple[float, float, float]:
-    """Where the scripted motion starts [m]."""
-    x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0]
-    return float(x), float(y), float(z)
-
-
-def _box(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of the box in which the pointer may move the tool [m]: around the scripted path, and back from it."""
-    path = parts.motion.sweep_m()
-    axis = parts.motion.rotations()[0][:, 2]
-    below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
-    points = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
-    return points.min(axis=0), points.max(axis=0)
