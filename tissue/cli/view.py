@@ -22,6 +22,7 @@ def view(
     scale: float = 1.0,
     time_s: float | None = None,
     clean: Annotated[bool, Parameter(negative="")] = False,
+    web: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Show a run in a window, or an imported bone, on which a click puts the site.
 
@@ -43,12 +44,15 @@ def view(
         Moment that is shown at first, in seconds; default that of the greatest force.
     clean
         With --screenshot: what was simulated alone on a transparent ground, without text, scales, tool and arrows.
+    web
+        In a browser on this machine, at an address that is printed, in place of a window.
     """
     from tissue.viewer.view import view as show
 
+    opened = (lambda address: console.print(f"open {address}; Ctrl-C ends it")) if web else None
     with nullcontext() if movie is None else progress() as report:
         shown = show(
             folder, screenshot=screenshot, movie=movie, hide=hide, field=field, scale=scale, time_s=time_s, clean=clean,
-            progress=report,
+            progress=report, opened=opened,
         )  # fmt: skip
     console.print(shown)

@@ -131,7 +131,8 @@ class SlicerContent:
         return self._frame.vector(row[self._force]), self._frame.vector(row[self._torque])
 
     def _mesh(self, mesh: "pyvista.PolyData", **scalars: Array) -> bytes:
-        return igtl.polydata_body(self._frame.points(mesh.points), mesh.regular_faces, scalars=scalars)
+        triangles = mesh.regular_faces.reshape(-1, 3)  # of a mesh without any the shape is lost
+        return igtl.polydata_body(self._frame.points(mesh.points), triangles, scalars=scalars)
 
     def _packed(self, kind: str, name: str, body: bytes, **options: Any) -> bytes:
         return igtl.packed(kind, name, body, time_s=time(), **options)

@@ -2,14 +2,16 @@
 
 import os
 import runpy
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterable
+from queue import Empty, SimpleQueue
 from time import sleep
 
 from meshes.base.child_process import kill_with_parent, python_command, start_code
 
-__all__ = ["CHECK_S", "ONE_THREAD", "HangDetector", "HelperLostError", "child_command", "end_with"]
+__all__ = ["CHECK_S", "ONE_THREAD", "HangDetector", "HelperLostError", "await_ready", "child_command", "end_with"]
 
 START = start_code("tissue.system.child", "_main")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -94,6 +96,42 @@ class HangDetector:
         if self._longest_s is not None and self._waited_s >= self._longest_s:
             return f"took longer than {self._longest_s:g} s"
         return None
+
+
+def await_ready(child: "subprocess.Popen[str]", *, longest_s: float, closes_s: float) -> tuple[str, str | None]:
+    """Wait until a process prints a line with the word ready first.
+
+    Parameters
+    ----------
+    child
+        The process, with its standard output as a pipe.
+    longest_s
+        How long it may take [s].
+    closes_s
+        How long one that printed something else may take to end [s].
+
+    Returns
+    -------
+    What stands behind the word, and None; or nothing and why it is not ready, in half a sentence, which is empty where
+    it has ended.
+    """
+    stdout, first = child.stdout, SimpleQueue[str]()
+    detector = HangDetector(lambda: [child.pid], longest_s=longest_s)
+    assert stdout is not None
+    threading.Thread(target=lambda: first.put(stdout.readline()), daemon=True).start()
+    while True:
+        try:
+            word, _, rest = first.get(timeout=CHECK_S).strip().partition(" ")
+            if word == "ready":
+                return rest, None
+            child.wait(closes_s)
+            return "", ""
+        except Empty:
+            why = detector.check()
+        except subprocess.TimeoutExpired:
+            return "", "its process does not answer"
+        if why is not None:
+            return "", f"it {why}"
 
 
 def _work_of(processes: Iterable[int]) -> tuple[float, bool]:

@@ -43,6 +43,8 @@ class BoneShown:
         Where it is shown; the key c is bound there.
     bone
         The bone over time.
+    legend
+        Whether the layers and their colours are written beside it.
 
     Attributes
     ----------
@@ -52,19 +54,26 @@ class BoneShown:
         Its key, in words; empty where it has none.
     points_mm
         Points of its surface when it was made [mm], shape (n, 3).
+    colours
+        Of all layers by name, red, green and blue, 0 to 1.
+    by_depth
+        Whether it is coloured by the depth that was removed, not by layer.
+    is_cut
+        Whether any of it was removed.
     """
 
-    def __init__(self, plotter: Plotter, bone: BoneOverTime) -> None:
-        self._plotter, self._bone = plotter, bone
+    def __init__(self, plotter: Plotter, bone: BoneOverTime, *, legend: bool = True) -> None:
+        self._plotter, self._bone, self._legend = plotter, bone, legend
         names = bone.layer_names
-        self._names, self._colours = names, layer_colours(names)
+        self._names, self.colours = names, layer_colours(names)
         self._index = {names[i]: i for i in bone.layers}
         self.layers = list(self._index)
         self._hidden: frozenset[str] = frozenset()
         self._limit = max(bone.deepest_mm, 1e-3)
-        self._by_depth, self._visible = bone.deepest_mm > 0.0, True
-        self.help = "c: removed depth or layer" if self._by_depth else ""
-        if self._by_depth:
+        self.is_cut = bone.deepest_mm > 0.0
+        self.by_depth, self._visible = self.is_cut, True
+        self.help = "c: removed depth or layer" if self.is_cut else ""
+        if self.is_cut:
             plotter.add_key_event("c", self.change)
         self._parts: dict[str, pyvista.PolyData] = {}
         self._take()
@@ -87,14 +96,14 @@ class BoneShown:
 
     def change(self) -> None:
         """Change between removed depth and layer."""
-        self._by_depth = not self._by_depth
+        self.by_depth = not self.by_depth
         self._draw()
         self._plotter.render()
 
     def hide(self, hidden: frozenset[str]) -> None:
         """Leave out some layers, and colour the bone by layer."""
         self._hidden = hidden
-        self._by_depth = False
+        self.by_depth = False
         self._take()
         self._draw()
 
@@ -111,11 +120,11 @@ class BoneShown:
             plotter.remove_scalar_bar(DEPTH_TITLE, render=False)
         actors = [self._draw_part(name) for name in self._parts]
         shown = [actor for actor in actors if actor is not None]
-        if self._by_depth and shown:
+        if self.by_depth and shown:
             add_colour_scale(plotter, DEPTH_TITLE, shown[0].mapper, bottom=0.45, fmt="%.2f", below_label="")
-        elif self._visible and not self._by_depth:
+        elif self._visible and self._legend and not self.by_depth:
             # Layers and their colours; one that is off is pale.
-            entries = [[name, "lightgray" if name in self._hidden else self._colours[name]] for name in self.layers]
+            entries = [[name, "lightgray" if name in self._hidden else self.colours[name]] for name in self.layers]
             plotter.add_legend(
                 entries,
                 bcolor=None,
@@ -130,7 +139,7 @@ class BoneShown:
         part = self._parts[name].copy(deep=False)
         if not self._visible or not part.n_cells:
             return None
-        if not self._by_depth:
+        if not self.by_depth:
             return self._plotter.add_mesh(part, name=name, **layer_look(self._names))
         limits = (0.02 * self._limit, self._limit)
         return self._plotter.add_mesh(

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.figures.style import COMPONENTS
+from tissue.figures.tool_mesh import pose
 from tissue.simulation.trace import Table
 from tissue.viewer.plotter import Plotter
 from tissue.viewer.tool import ToolShown
@@ -36,9 +37,19 @@ class MomentShown:
         Surface of the tool in its own frame [mm], or None.
     size_mm
         Size of what the tool meets [mm]; the arrow is in proportion to it.
+    chart
+        Whether the force is written and drawn over time along the lower edge.
     """
 
-    def __init__(self, plotter: Plotter, trace: Table, tool: "pyvista.PolyData | None", *, size_mm: float) -> None:
+    def __init__(
+        self,
+        plotter: Plotter,
+        trace: Table,
+        tool: "pyvista.PolyData | None",
+        *,
+        size_mm: float,
+        chart: bool = True,
+    ) -> None:
         import pyvista
 
         self._trace = trace
@@ -53,14 +64,22 @@ class MomentShown:
         self._greatest = float(np.linalg.norm(self._force[self._peak]))
         self._longest = LONGEST * max(float(np.ptp(path, axis=0).max()), size_mm, tool.length if tool else 0.0, 1.0)
         self._tool = ToolShown(plotter, tool, longest_mm=self._longest, opacity=0.35)
-        self._text = plotter.add_text("", position=(0.012, 0.932), viewport=True, font_size=11, color="black")
-        self._chart, self._cursor = _chart(plotter, trace, every)
+        self._charted = chart
+        if chart:
+            self._text = plotter.add_text("", position=(0.012, 0.932), viewport=True, font_size=11, color="black")
+            self._chart, self._cursor = _chart(plotter, trace, every)
 
     @property
     def extent_mm(self) -> NDArray[np.float64]:
         """Both ends of the tool's path and of the longest arrow [mm], shape (4, 3)."""
         tip, arrow = self._tips[self._peak], self._longest * self._force[self._peak] / max(self._greatest, 1e-9)
         return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
+
+    def near_tip_mm(self, tool_mm: NDArray[np.float64], *, reach_mm: float) -> NDArray[np.float64]:
+        """Points of the tool [mm] within a reach of its tip, where the force was greatest, from those in its frame."""
+        near = tool_mm[np.linalg.norm(tool_mm, axis=1) <= reach_mm]
+        matrix = pose(self._tips[self._peak], self._turns[self._peak])
+        return near @ matrix[:3, :3].T + matrix[:3, 3]
 
     @property
     def peak_s(self) -> float:
@@ -76,6 +95,8 @@ class MomentShown:
         """Show the moment."""
         trace, row = self._trace, self.row(time_s)
         force = self._tool.show(self._tips[row], self._turns[row], self._force[row], greatest_N=self._greatest)
+        if not self._charted:
+            return
         words = [f"{time_s:.3f} s: {force}"]
         if "layer" in trace:
             words.append(str(trace["layer"][row]))

@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +15,7 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.builders.registry import motion_of
 from tissue.models.tissue_model import TICK_S
+from tissue.simulation.live.page import require_web
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, field_names
 from tissue.system.offscreen import LONGEST_S, display_problem, draw_apart
@@ -21,6 +23,7 @@ from tissue.viewer.movie import check_movie, write_movie
 from tissue.viewer.run import require_whole
 from tissue.viewer.site_window import is_imported, show_site
 from tissue.viewer.still import write_clean
+from tissue.viewer.web.view import serve_view
 from tissue.viewer.window import Choice, Window, times_of
 
 __all__ = ["show", "view"]
@@ -40,6 +43,7 @@ def view(
     time_s: float | None = None,
     clean: bool = False,
     progress: Progress | None = None,
+    opened: Callable[[str], object] | None = None,
 ) -> str:
     """Show a run, or draw it into a file.
 
@@ -65,6 +69,9 @@ def view(
         scales, tool and arrows.
     progress
         Called with how much of a file is drawn.
+    opened
+        Show the run in a browser in place of a window, until its page was closed for some seconds, and call this with
+        the address of the page.
 
     Returns
     -------
@@ -77,6 +84,8 @@ def view(
         or the picture cannot be drawn.
     """
     _check_files(screenshot, movie, time_s)
+    if opened is not None:
+        _check_web(Path(path), screenshot, movie)
     if clean and screenshot is None:
         raise InputError("clean must come with a screenshot, got none: pass --screenshot FILE.png, or leave clean out")
     if is_imported(Path(path)):
@@ -90,8 +99,10 @@ def view(
     _check(saved, choice, series)
     if movie is not None and len(times_of(saved, series)) < 2:
         raise InputError(f"movie must be of a run that lasts, got {saved.path}: use --screenshot")
-    if screenshot is None and movie is None:
-        _require_display("--screenshot FILE or --movie FILE")
+    if opened is not None:
+        serve_view(saved.path, choice, opened)
+    elif screenshot is None and movie is None:
+        _require_display("--screenshot FILE, --movie FILE or --web")
         show(saved, about, choice)
     for kind, file in (("screenshot", screenshot), ("movie", movie)):
         if file is not None:
@@ -104,6 +115,16 @@ def _require_display(instead: str) -> None:
     problem = display_problem()
     if problem is not None:
         raise InputError(f"view must have a display to open a window, but {problem}: pass {instead}")
+
+
+def _check_web(path: Path, screenshot: Path | None, movie: Path | None) -> None:
+    """Refuse a page for what is no page, and where nothing can serve one."""
+    for name, file in (("screenshot", screenshot), ("movie", movie)):
+        if file is not None:
+            raise InputError(f"web must be left out with a {name}, which is a file, got {file}: leave one of them out")
+    if is_imported(path):
+        raise InputError("web must be left out for an imported bone, which has no run: leave it out")
+    require_web()
 
 
 def _check_imported(movie: Path | None, choice: Choice) -> None:

@@ -29,7 +29,7 @@ from tissue.viewer.still import add_scale_bar, leave_alone
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["Choice", "Window", "times_of"]
+__all__ = ["Choice", "Window", "cut_plane", "some_of", "times_of"]
 
 SIZE = (1400, 950)
 SLIDERS = CHART_SHARE + 0.04
@@ -102,7 +102,7 @@ class Window:
         self._series = SavedFields(saved.path) if field_names(saved.path) else None
         self.fields: FieldsShown | None = None
         if self._series is not None:
-            cut = _plane(saved, self._series) if self.bone is not None else None
+            cut = cut_plane(saved, self._series) if self.bone is not None else None
             self.fields = FieldsShown(self.plotter, self._series, scale=choice.scale, clip=cut, fine=off_screen)
         self.names: NameList | None = None
         self.point: PointRead | None = None
@@ -217,7 +217,7 @@ class Window:
         names = self.names = NameList(plotter, "shown (click, or m)", [*bone, *labels], choose=self.choose)
         names.mark(fields.name)
         point = self.point = PointRead(plotter, fields, size_mm=0.02 * size_mm)
-        ClipPlane(plotter, fields, start=_plane(self._saved, series))
+        ClipPlane(plotter, fields, start=cut_plane(self._saved, series))
         if series.displacement is not None and series.greatest_mm() > 0.0:
             top = max(_round_up(LARGEST * series.size_mm / series.greatest_mm()), fields.scale, 2.0)
             plotter.add_slider_widget(
@@ -244,10 +244,10 @@ class Window:
     def _tissue(self, choice: Choice) -> Iterator[NDArray[np.float64]]:
         """Points of what was simulated [mm]; a field may reach far beyond the bone in whose place it is chosen."""
         if self.bone is not None:
-            yield _some(self.bone.points_mm)
+            yield some_of(self.bone.points_mm)
         if self._series is not None and (self.bone is None or choice.field is not None):
-            yield _some(np.asarray(self._series.frames[0].points))
-        yield from (_some(np.asarray(face.points)) for face in self._faces.values())
+            yield some_of(np.asarray(self._series.frames[0].points))
+        yield from (some_of(np.asarray(face.points)) for face in self._faces.values())
 
     def _simulated(self) -> "list[pyvista.Actor]":
         """Actors of bone, fields and faces."""
@@ -266,7 +266,7 @@ class Window:
             self.plotter.add_text(words, position=(0.012, height), viewport=True, font_size=size, color="black")
 
 
-def _some(points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+def some_of(points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Enough of many points to find their extent."""
     return points_mm[:: max(len(points_mm) // MOST_POINTS, 1)]
 
@@ -278,7 +278,7 @@ def times_of(saved: SavedRun, series: SavedFields | None) -> NDArray[np.float64]
     return np.zeros(0) if series is None else series.times_s
 
 
-def _plane(saved: SavedRun, series: SavedFields) -> Plane:
+def cut_plane(saved: SavedRun, series: SavedFields) -> Plane:
     """Plane through where the tool was deepest, which opens the mesh towards the one who looks."""
     x, cut, z = map(float, series.frames[0].center)
     if saved.trace is not None and len(saved.trace.rows):

@@ -6,6 +6,8 @@ import socket
 import subprocess
 import sys
 import time
+import typing
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from tissue.simulation.live.run import LiveObserver, moved_by
 from tissue.simulation.live.run import live as run_live
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.simulate import TICK_S
+from tissue.simulation.simulate import simulate as simulate_once
 from tissue.system.offscreen import await_display, display_problem
 
 ROOT = Path(__file__).parents[3]
@@ -176,6 +179,122 @@ def test_a_run_ends_when_its_window_hangs_for_ever(stalled, monkeypatch):
     assert [what for _, what in run.events if "drew nothing" in what] == [
         "the window drew nothing for 0 s: the run ended"
     ]
+
+
+def test_a_pause_is_no_lateness_and_is_reported(monkeypatch):
+    until = []
+
+    def paused(self):
+        if self.shown == 300 and not until:
+            until.append(time.monotonic() + 0.4)
+        return bool(until) and time.monotonic() < until[0]
+
+    monkeypatch.setattr("tissue.simulation.live.run.await_display", lambda: None)
+    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
+    monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
+    monkeypatch.setattr(FakeWindow, "paused", property(paused))
+    run = run_live(load_scene("wall"))
+    assert len(run.trace.rows) == 600
+    ((time_s, what),) = [event for event in run.events if "paused" in event[1]]
+    assert time_s == 0.3 and float(what.removeprefix("the run was paused for ").removesuffix(" s")) >= 0.4
+    assert run.timing["skipped_us"][300:302].max() < 4e5
+
+
+class FakePage:
+    """A page on which a person begins again after 200 ticks of the first run, as `Page`."""
+
+    made: typing.ClassVar = []
+
+    def __init__(self, opened):
+        self.windows, self.closed = [], False
+        self.made.append(self)
+        opened("http://127.0.0.1:1/?token=x")
+
+    def show(self, scene, parts, columns, *, low_m, high_m):
+        window = FakeWindow(scene, parts, columns, low_m=low_m, high_m=high_m)
+        if not self.windows:
+            show = window.show
+
+            def shown(index, row, clock):
+                show(index, row, clock)
+                window.reset = index >= 199
+
+            window.show = shown
+        self.windows.append(window)
+        return window
+
+    def close(self):
+        self.closed = True
+
+
+@pytest.fixture
+def paged(monkeypatch):
+    monkeypatch.setattr("tissue.simulation.live.run.Page", FakePage)
+    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: "there is no display")
+    monkeypatch.setattr(FakePage, "made", [])
+
+
+def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_folder(paged, tmp_path):
+    pytest.importorskip("aiohttp")
+    addresses, out = [], tmp_path / "run"
+    run = run_live(load_scene("wall"), out=out, opened=addresses.append)
+    (page,) = FakePage.made
+    assert addresses == ["http://127.0.0.1:1/?token=x"] and page.closed
+    assert [window.shown for window in page.windows] == [200, 600]
+    assert len(run.trace.rows) == 600 and run.trace["time_s"][0] == 0.0
+    run.save(out, pictures=False)
+    saved = SavedRun(out)
+    assert saved.complete and len(saved.trace.rows) == 600
+    assert (
+        saved.summary["notes"]["live"] == "the mouse moves the tool in a browser; it feels nothing, the force is shown"
+    )
+
+
+def test_a_run_that_is_reset_is_kept_as_an_interrupted_one_until_the_next_begins(paged, tmp_path, monkeypatch):
+    pytest.importorskip("aiohttp")
+    found = []
+    monkeypatch.setattr("tissue.simulation.live.run.simulate", lambda *a, **k: seen(*a, **k))
+
+    def seen(scene, **options):
+        if FakePage.made[0].windows:
+            saved = SavedRun(tmp_path / "run")
+            found.append((saved.status, saved.problem, len(saved.trace.rows)))
+        return simulate_once(scene, **options)
+
+    run_live(load_scene("wall"), out=tmp_path / "run", opened=lambda address: None)
+    assert found == [("interrupted", "reset", 200)]
+
+
+def test_a_page_is_refused_for_a_real_device_and_without_its_server(paged, monkeypatch):
+    monkeypatch.setattr("tissue.simulation.live.run.opens_device", lambda scene: True)
+    if find_spec("aiohttp") is not None:
+        with pytest.raises(
+            InputError, match=r"^--web must be left out with a real device, which runs without any window"
+        ):
+            run_live(load_scene("wall"), opened=lambda address: None)
+    monkeypatch.setattr("tissue.simulation.live.page.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"^--web must have aiohttp .* got none: pip install 'tissue-sim\[web\]'$"):
+        run_live(load_scene("wall"), opened=lambda address: None)
+    assert not FakePage.made
+
+
+def test_a_page_that_cannot_be_served_is_refused_with_its_last_words(monkeypatch):
+    from tissue.simulation.live.page import Page, PageProcess
+
+    tried = []
+
+    def fails(self, *arguments, environment, **options):
+        tried.append(environment)
+        raise InputError("--live must serve its page, but EGL failed: install it")
+
+    monkeypatch.setattr(PageProcess, "__init__", fails)
+    monkeypatch.setattr("tissue.simulation.live.page.drawing_environments", lambda: iter([{"A": "1"}, {"A": "2"}]))
+    with pytest.raises(InputError, match="EGL failed"):
+        Page(tried.append).show(None, None, (), low_m=np.zeros(3), high_m=np.zeros(3))
+    assert tried == [{"A": "1"}, {"A": "2"}]
+    monkeypatch.setattr("tissue.simulation.live.page.drawing_environments", lambda: iter(()))
+    with pytest.raises(InputError, match="this machine has no OpenGL library"):
+        Page(tried.append).show(None, None, (), low_m=np.zeros(3), high_m=np.zeros(3))
 
 
 def test_a_display_that_comes_late_is_waited_for(monkeypatch):

@@ -141,7 +141,7 @@ def test_without_a_display_the_remedy_is_a_screenshot(whole, monkeypatch):
     monkeypatch.setattr("tissue.system.offscreen.sys.platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     assert display_problem() == "there is no display (DISPLAY is not set)"
-    with pytest.raises(InputError, match=r"DISPLAY is not set\): pass --screenshot FILE or --movie FILE$"):
+    with pytest.raises(InputError, match=r"DISPLAY is not set\): pass --screenshot FILE, --movie FILE or --web$"):
         view(whole)
 
 

@@ -5,10 +5,8 @@ import os
 import re
 import shutil
 import subprocess
-import threading
 from collections.abc import Mapping
 from pathlib import Path
-from queue import Empty, SimpleQueue
 from tempfile import gettempdir, mkdtemp
 
 import numpy as np
@@ -19,7 +17,7 @@ from tissue.builders.parts import Parts
 from tissue.scene.scene import Scene
 from tissue.simulation.live.shared import MEMORY, AnyArray, Layout, SharedArrays
 from tissue.simulation.live.tissues import NothingShared, TissueShared, shared_tissue
-from tissue.system.child import CHECK_S, HangDetector, child_command
+from tissue.system.child import await_ready, child_command
 
 __all__ = ["CLOCK", "LOADS", "WindowProcess"]
 
@@ -114,7 +112,7 @@ class WindowProcess:
         self._drawn, self._held, self._resets = (self.arrays[name] for name in ("frames", "paused", "resets"))
         self._loads, self._count = self.arrays["loads"], self.arrays["loads_count"]
         self._load = np.array([columns.index(name) for name in LOAD], dtype=np.intp)
-        self._seen, self._reset, self.address = 0, 0, ""
+        self._seen, self._reset = 0, 0
         (self._folder / "scene.json").write_text(
             scene.model_dump_json(exclude_unset=True), "utf-8"
         )  # as it is, changed for the mouse
@@ -136,40 +134,17 @@ class WindowProcess:
             )
         self._words = (self._folder / "output.txt").open(encoding="utf-8", errors="replace")
         try:
-            last = self._unready()
+            self.address, last = await_ready(self._child, longest_s=OPENS_S, closes_s=CLOSES_S)
         except BaseException:
             self._child.kill()
             self.end()
             raise
         if last is not None:
+            last = last or self._last_words()
             self._child.kill()
             self.end()
             raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
         shutil.rmtree(self._folder, ignore_errors=True)  # both sides have it open: nothing is left behind by a kill
-
-    def _unready(self) -> str | None:
-        """Wait for the window to open; why it does not, or None."""
-        stdout, first, detector = (
-            self._child.stdout,
-            SimpleQueue[str](),
-            HangDetector(lambda: [self._child.pid], longest_s=OPENS_S),
-        )
-        assert stdout is not None
-        threading.Thread(target=lambda: first.put(stdout.readline()), daemon=True).start()
-        while True:
-            try:
-                word, _, address = first.get(timeout=CHECK_S).strip().partition(" ")
-                if word == "ready":
-                    self.address = address
-                    return None
-                self._child.wait(CLOSES_S)
-                return self._last_words()
-            except Empty:
-                why = detector.check()
-            except subprocess.TimeoutExpired:
-                return "its process does not answer"
-            if why is not None:
-                return f"it {why}"
 
     @property
     def frames(self) -> int:

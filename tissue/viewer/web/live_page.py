@@ -20,6 +20,8 @@ __all__ = ["LivePage"]
 SIZE = (960, 720)
 """Until the page states its own [pixel]."""
 MARGINS = (0.05, 0.95, 0.06, 0.94)
+ABOVE = 0.3
+"""How much above the tool's tip is in view, in sizes of the scene: more than the longest arrow."""
 KEYS = {
     "ArrowLeft": "Left",
     "ArrowRight": "Right",
@@ -53,7 +55,10 @@ class LivePage:
 
     def __init__(self, folder: Path) -> None:
         self.shown = LiveScene(folder, size_px=SIZE, margins=MARGINS, off_screen=True)
-        plotter, points = self.shown.plotter, self.shown.points_mm
+        plotter = self.shown.plotter
+        start, axis = self.shown.target_options["start_mm"], self.shown.target_options["axis"]
+        size = float(np.linalg.norm(np.ptp(self.shown.points_mm, axis=0)))
+        points = np.vstack([self.shown.points_mm, start + ABOVE * size * axis])
         self.stage = Stage(plotter, lambda: aim(plotter, points, margins=MARGINS))
         self.target = Target(plotter, **self.shown.target_options)
         self._sent_mm = self.target.target_mm
@@ -125,8 +130,7 @@ class LivePage:
             self.stage.changed = True
         self.stage.changed |= self.shown.update_tissue()
         figures = self._figures(loads)
-        picture = self.stage.picture() if self.stage.changed else None
-        return figures, picture
+        return figures, self.stage.picture()
 
     @property
     def _resetting(self) -> bool:
@@ -186,4 +190,4 @@ class LivePage:
 
 
 if __name__ == "__main__":
-    serve(lambda: LivePage(Path(sys.argv[1])))
+    serve(lambda: LivePage(Path(sys.argv[1])), beside_ticks=True)

@@ -24,7 +24,7 @@ HEARTBEAT_S = 5.0
 REPLACED = 4001
 """Code with which a page is closed that another one takes the place of."""
 POLICY = (
-    "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src 'self' blob:; "
+    "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src data:; "
     "connect-src ws://{home}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 """What the page may load: what stands in it, and its socket."""
@@ -79,7 +79,7 @@ class PageServer:
         self._session, self._token = session, token or new_token()
         self._port, self.address = 0, ""
         self._socket: web.WebSocketResponse | None = None
-        self._drawing, self._left_s, self._sent = True, 0.0, False
+        self._drawing, self._left_s, self._opened = True, 0.0, False
 
     async def serve(self, opened: Callable[[str], object], *, port: int = 0) -> None:
         """Serve until the session is over; ``opened`` is called with the address."""
@@ -102,12 +102,11 @@ class PageServer:
 
     async def _run(self) -> None:
         """Frame after frame until it is over."""
-        loop, session, opened = asyncio.get_running_loop(), self._session, False
+        loop, session = asyncio.get_running_loop(), self._session
         while not session.over:
             began = loop.time()
             socket = self._socket
-            opened = opened or socket is not None
-            if socket is None and opened and began - self._left_s > LEFT_S:
+            if socket is None and self._opened and began - self._left_s > LEFT_S:
                 session.leave()
             figures, picture = session.frame(socket is not None and self._drawing)
             if socket is not None and not socket.closed:
@@ -131,7 +130,7 @@ class PageServer:
         socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=LARGEST)
         await socket.prepare(request)
         before, self._socket = self._socket, socket
-        self._drawing = True
+        self._drawing = self._opened = True
         if before is not None:
             await before.close(code=REPLACED, message=b"another page shows it now")
         session = self._session

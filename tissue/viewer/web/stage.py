@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from io import BytesIO
+from time import perf_counter
 
 import numpy as np
 
@@ -13,6 +14,8 @@ MOST_PX = 1_000_000
 """Largest picture [pixel]: more takes OpenGL in software longer than a frame."""
 QUALITY = 88
 """Of a picture as JPEG."""
+STILL_S = 0.25
+"""How long nothing has changed when smooth edges are drawn, which takes OpenGL in software four times as long [s]."""
 TURN_DEG = 180.0
 """Turn of the view by a drag over the height of the picture."""
 
@@ -35,7 +38,7 @@ class Stage:
 
     def __init__(self, plotter: Plotter, aim: Callable[[], None]) -> None:
         self._plotter, self._aim = plotter, aim
-        self._turned = False
+        self._turned, self._fine, self._moved_s = False, False, 0.0
         self.changed = True
         plotter.show(auto_close=False, interactive=False)
 
@@ -71,12 +74,25 @@ class Stage:
             camera.Dolly(by)
         self._viewed()
 
-    def picture(self) -> bytes:
-        """What is shown, as JPEG."""
+    def picture(self) -> bytes | None:
+        """What is shown, as JPEG; once it stays as it is, one with smooth edges, and None from then on."""
+        now = perf_counter()
+        if self.changed:
+            self.changed, self._fine, self._moved_s = False, False, now
+            return self._drawn()
+        if self._fine or now - self._moved_s < STILL_S:
+            return None
+        self._fine = True
+        self._plotter.enable_anti_aliasing("ssaa")
+        try:
+            return self._drawn()
+        finally:
+            self._plotter.disable_anti_aliasing()
+
+    def _drawn(self) -> bytes:
         from PIL import Image
 
         self._plotter.render()
-        self.changed = False
         output = BytesIO()
         Image.fromarray(np.asarray(self._plotter.image)[..., :3]).save(output, "JPEG", quality=QUALITY, subsampling=0)
         return output.getvalue()

@@ -14,6 +14,8 @@ function send(what, values) {
 function showOver(words) {
   byId("over").textContent = words;
   byId("over").classList.add("shown");
+  byId("state").textContent = "ended";
+  byId("state").className = "state over";
   document.querySelectorAll("button, input, select").forEach((each) => { each.disabled = true; });
 }
 
@@ -102,3 +104,5 @@ function drawLegend(entries, change) {
 }
 
 const fixed = (value, digits) => (Object.is(Math.round(value * 10 ** digits), -0) ? 0 : value).toFixed(digits);
+
+const newtonMetres = (torque) => (torque >= 1 ? `${fixed(torque, 2)} N·m` : `${fixed(1000 * torque, 1)} mN·m`);

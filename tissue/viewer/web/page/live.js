@@ -3,7 +3,7 @@
 
 const SECONDS = 8;
 const STATES = { running: "running", paused: "paused", resetting: "starting again" };
-const plot = new ForcePlot(byId("plot"));
+const plot = new ForcePlot(byId("plot"), 1);
 let rows = [], run = null, paused = false;
 
 function write(figures) {
@@ -19,7 +19,7 @@ function write(figures) {
   byId("parts").textContent = `${figures.force_N.map((part) => fixed(part, 2).replace("-", "−")).join(", ")} N`;
   byId("device-name").hidden = byId("device").hidden = figures.device_N === null;
   if (figures.device_N !== null) byId("device").textContent = `${fixed(figures.device_N, 2)} N`;
-  byId("torque").textContent = `${fixed(1000 * figures.torque_Nm, 1)} mN·m`;
+  byId("torque").textContent = newtonMetres(figures.torque_Nm);
   byId("removed").textContent = `${fixed(figures.removed_mm3, 2)} mm³`;
   byId("tick").textContent = `${fixed(figures.tick_us, 0)} µs`;
   byId("late").textContent = `${fixed(figures.late_us, 0)} µs`;

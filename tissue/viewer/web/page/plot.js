@@ -1,7 +1,9 @@
 // Force over time: its size in black, its components after Okabe and Ito.
 "use strict";
 
-const CURVES = [["x", "#0072b2", 1], ["y", "#d55e00", 2], ["z", "#009e73", 3], ["magnitude", "#111111", 4]];
+// The magnitude lies below its components and is wider, so that one that is all of it is seen on it.
+const CURVES = [["magnitude", "#111111", 4], ["x", "#0072b2", 1], ["y", "#d55e00", 2], ["z", "#009e73", 3]];
+const LEFT = 58, RIGHT = 12;
 const FONT = "17px system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif";
 
 // The step of 1, 2 or 5 times a power of ten that gives about `count` marks.
@@ -11,8 +13,10 @@ function roundStep(span, count) {
 }
 
 class ForcePlot {
-  constructor(canvas) {
+  // `least` is the smallest force that fills it [N].
+  constructor(canvas, least) {
     this.canvas = canvas;
+    this.least = least;
     this.rows = [];
     this.cursor = null;
     this.range = null;
@@ -25,6 +29,13 @@ class ForcePlot {
     this.draw();
   }
 
+  // The time at a pixel from the left, or null beside the plot.
+  timeAt(pixel) {
+    const [left, right] = [LEFT, this.canvas.clientWidth - RIGHT], [first, last] = this.range || [0, 0];
+    if (pixel < left || pixel > right) return null;
+    return first + ((last - first) * (pixel - left)) / (right - left);
+  }
+
   draw() {
     const scale = window.devicePixelRatio || 1, wide = this.canvas.clientWidth, tall = this.canvas.clientHeight;
     if (wide < 80 || tall < 80) return;
@@ -33,12 +44,13 @@ class ForcePlot {
     const pen = this.canvas.getContext("2d");
     pen.scale(scale, scale);
     pen.font = FONT;
-    const left = 58, right = wide - 12, top = 34, low = tall - 54;
+    const left = LEFT, right = wide - RIGHT, top = 34, low = tall - 54;
     const [first, last] = this.range || [0, 8];
-    let bottom = 0, above = 1;
+    let bottom = 0, above = this.least;
     for (const row of this.rows) {
       for (let c = 1; c <= 4; c += 1) { bottom = Math.min(bottom, row[c]); above = Math.max(above, row[c]); }
     }
+    if (bottom > -0.03 * above) bottom = 0;
     const step = roundStep(above - bottom, Math.max(3, Math.floor((low - top) / 42)));
     bottom = step * Math.floor(bottom / step);
     above = step * Math.ceil(above / step);
@@ -52,7 +64,7 @@ class ForcePlot {
     pen.lineJoin = "round";
     for (const [, colour, place] of CURVES) {
       pen.strokeStyle = colour;
-      pen.lineWidth = place === 4 ? 2.6 : 1.6;
+      pen.lineWidth = place === 4 ? 4.5 : 1.8;
       pen.beginPath();
       for (const row of this.rows) pen.lineTo(x(row[0]), y(row[place]));
       pen.stroke();

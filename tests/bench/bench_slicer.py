@@ -1,0 +1,93 @@
+"""What publishing a live run for 3D Slicer costs its ticks: ``python tests/bench/bench_slicer.py``.
+
+The scripted motion runs against the wall clock without the link, with it and no client, and with a client in a process
+of its own that takes everything and asks for the force, turn by turn, so that the machine's other work meets all alike.
+The load of the machine is printed: lateness is as much its other work's as ours.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+import numpy as np  # noqa: E402
+
+from tissue import load_scene  # noqa: E402
+from tissue.simulation.live.run import live  # noqa: E402
+from tissue.simulation.live.slicer import SlicerLink  # noqa: E402
+
+SCENES = {"wall": 2.0, "milling": 3.0, "liver-press": 2.0}
+TURNS = 4
+CLIENT = """
+import socket, sys, time
+from tissue.links.igtl_messages import packed
+host, port = sys.argv[1].split(":")
+connection = socket.create_connection((host, int(port)))
+for kind in ("STT_SENSOR", "STT_NDARRAY"):
+    connection.sendall(packed(kind, "", b"", time_s=0.0))
+print("ready", flush=True)
+began, size, held, kinds = time.perf_counter(), 0, bytearray(), {}
+while piece := connection.recv(1 << 20):
+    held += piece
+    while len(held) >= 58 and len(held) >= 58 + int.from_bytes(held[42:50], "big"):
+        end = 58 + int.from_bytes(held[42:50], "big")
+        kind = held[2:14].rstrip(b"\\0").decode()
+        kinds[kind] = kinds.get(kind, 0) + 1
+        size += end
+        del held[:end]
+took = time.perf_counter() - began
+print(f"{sum(kinds.values()) / took:.0f} messages/s, {1e-6 * size / took:.2f} MB/s: {kinds}")
+"""
+
+
+class Reader:
+    """A client in a process of its own."""
+
+    def __init__(self):
+        self._child = None
+
+    def __call__(self, address):
+        """Connect before the first tick."""
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        command = [sys.executable, "-c", CLIENT, address]
+        self._child = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+        self._child.stdout.readline()
+
+    def read(self):
+        """What it has counted."""
+        return self._child.communicate()[0].strip()
+
+
+def main():
+    """Measure and print a table."""
+    os.environ.pop("DISPLAY", None)
+    print("scene, link: tick, late (median / 99 % us, of all turns); missed; ratio of the tick's 99 %; load")
+    for name, duration_s in SCENES.items():
+        found = {"none": [], "no client": [], "a client": []}
+        counted = ""
+        for _ in range(TURNS):
+            for kind, timings in found.items():
+                reader = Reader() if kind == "a client" else None
+                link = None if kind == "none" else SlicerLink(port=0, opened=reader)
+                run = live(load_scene(name, {"duration_s": duration_s}), slicer=link)
+                timings.append(np.column_stack([run.timing["tick_us"], run.timing["late_us"]]))
+                if reader is not None:
+                    counted = reader.read()
+        alone = np.percentile(np.vstack(found["none"])[:, 0], 99)
+        for kind, timings in found.items():
+            tick, late = np.vstack(timings).T
+            p99 = np.percentile(tick, 99)
+            missed = 100.0 * np.mean(tick + late > 1000.0)
+            print(
+                f"{name}, {kind}: {np.median(tick):.0f} / {p99:.0f}; {np.median(late):.0f} / {np.percentile(late, 99):.0f}; "
+                f"{missed:.1f} %; {p99 / alone:.2f}; {os.getloadavg()[0]:.1f}",
+                flush=True,
+            )
+        print(f"{name}, last client: {counted}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
