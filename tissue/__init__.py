@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from tissue.api.sweep import sweep
     from tissue.api.tools import ball, flat_punch, probe_from_file
     from tissue.haptics.device.device import DeviceParameters, Sample
+    from tissue.hardware.search import devices
     from tissue.importing.importing import Imported, import_ct
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
@@ -57,6 +58,7 @@ __all__ = [
     "calibration",
     "compare",
     "cutters",
+    "devices",
     "feed_along",
     "fit",
     "flat_punch",
@@ -94,6 +96,7 @@ _HOMES = {
     "assess": "tissue.api.assess",
     "ball": "tissue.api.tools",
     "compare": "tissue.api.comparison",
+    "devices": "tissue.hardware.search",
     "feed_along": "tissue.api.poses",
     "fit": "tissue.api.fit",
     "flat_punch": "tissue.api.tools",

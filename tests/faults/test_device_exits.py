@@ -14,6 +14,7 @@ import pytest
 from device_doubles import PRESSED_S, Computed, Managed, Recording, block
 
 from tissue import InputError, load_scene, simulate
+from tissue.haptics.device import safe_device
 from tissue.haptics.device.device import DeviceError, device_parameters
 from tissue.haptics.device.faulty import FaultyDevice
 from tissue.haptics.device.safe_device import RAMP_S, SafeDevice
@@ -166,6 +167,41 @@ def test_a_loop_that_hangs_lets_the_device_go_and_takes_it_up_again(monkeypatch)
     back = device.sizes_N[before : before + 100]
     assert np.diff(back).max() <= slew * (1 + 1e-9) and back.max() > PUSHING_N
     assert_left_alone(device)
+
+
+class Slow(Managed):
+    """A device that is opened more slowly than a read may take."""
+
+    def __enter__(self):
+        self.opening.wait(safe_device.OPENING_S + 60.0)
+        return super().__enter__()
+
+
+def test_opening_may_take_longer_than_a_read(monkeypatch):
+    monkeypatch.setattr(safe_device, "GIVE_UP_S", 0.01)
+    device = Slow()
+    device.opening = threading.Event()
+    threading.Timer(0.2, device.opening.set).start()
+    held, found = SafeDevice(device), []
+    thread = threading.Thread(target=lambda: held.__enter__() and held.__exit__(None, None, None), daemon=True)
+    thread.start()
+    while not device.opening.is_set():
+        found.append(held.stop_if_stuck())
+        time.sleep(0.005)
+    thread.join()
+    assert set(found) == {None} and len(found) > 3
+    assert_left_alone(device, pushed=False)
+
+
+def test_opening_that_never_ends_is_given_up(monkeypatch):
+    monkeypatch.setattr(safe_device, "OPENING_S", 0.1)
+    device = Slow()
+    device.opening = threading.Event()
+    with pytest.raises(
+        DeviceError, match=r"device\.__enter__ must return within 0\.1 s, got no answer for 0\.1 s: check"
+    ):
+        pressed(device)
+    device.opening.set()
 
 
 def test_a_read_that_is_slow_counts_as_none(monkeypatch):

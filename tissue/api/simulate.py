@@ -17,6 +17,7 @@ from tissue.haptics.device.safe_device import SafeDevice
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import require_used
 from tissue.simulation import simulate as engine
+from tissue.simulation.live.paced import Paced
 
 __all__ = ["TickRow", "simulate"]
 
@@ -128,6 +129,10 @@ def simulate(
         opened = opened_device(scene) if device is None else None
         if opened is not None:
             chosen["device"] = f"{scene.device} is read and played by {type(opened).__name__}"
+        held = opened if device is None else device
+        observer = observer if on_tick is None else Calls(on_tick)
+        if getattr(held.device if isinstance(held, SafeDevice) else held, "real_time", False):
+            observer = Paced(observer)
         run = engine.simulate(
             scene,
             compute=compute,
@@ -136,8 +141,8 @@ def simulate(
             overwrite=overwrite,
             progress=report,
             allow_unstable=allow_unstable,
-            device=opened if device is None else device,
-            observer=observer if on_tick is None else Calls(on_tick),
+            device=held,
+            observer=observer,
         )
     run.parts.notes |= chosen
     run.draw = draw_pictures

@@ -49,7 +49,8 @@ def calibrate(
     out
         File to write; default observer.json, or population.json. Trials and picture lie beside it.
     device
-        What plays forces to a person, default mouse: mouse (bars stand for forces), touch, omni or six-dof (simulated).
+        What plays forces to a person, default mouse: mouse (bars stand for forces), or simulated: touch, omni, six-dof,
+        haply, forcedimension, sigma-7, openhaptics, network, recorded.
     trials
         Comparisons of two forces; default 120.
     numbers

@@ -4,6 +4,7 @@ from tissue.cli.assess import assess
 from tissue.cli.calibrate import calibrate
 from tissue.cli.chart import chart
 from tissue.cli.compare import compare
+from tissue.cli.devices import devices
 from tissue.cli.fit import fit
 from tissue.cli.import_ import import_
 from tissue.cli.report import report
@@ -28,6 +29,7 @@ COMMANDS = (
     sweep,
     compare,
     stability,
+    devices,
     calibrate,
     assess,
     train,

@@ -1,8 +1,11 @@
 """Rotations inside the tick: unit quaternions (x, y, z, w) and rotation vectors [rad] as plain floats."""
 
+from collections.abc import Sequence
 from math import atan2, cos, inf, sin, sqrt
 
-__all__ = ["Quaternion", "Triple", "conjugate", "exponential", "logarithm", "product", "turn_between", "unit"]
+__all__ = [
+    "Quaternion", "Triple", "conjugate", "exponential", "logarithm", "of_matrix", "product", "turn_between", "unit",
+]  # fmt: skip
 
 Quaternion = tuple[float, float, float, float]
 Triple = tuple[float, float, float]
@@ -58,3 +61,20 @@ def turn_between(start: Quaternion, goal: Quaternion) -> Triple:
     The logarithm of ``goal start^-1``, in the world's axes; at half a turn one of two equal ones is returned.
     """
     return logarithm(product(goal, conjugate(start)))
+
+
+def of_matrix(rows: Sequence[Sequence[float]]) -> Quaternion:
+    """The unit quaternion of a rotation matrix, given by its rows; the largest of four components is found first."""
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    trace = a + e + i
+    if trace >= max(a, e, i):
+        size = 2.0 * sqrt(max(1.0 + trace, 0.0))
+        return (h - f) / size, (c - g) / size, (d - b) / size, 0.25 * size
+    if a >= max(e, i):
+        size = 2.0 * sqrt(max(1.0 + a - e - i, 0.0))
+        return 0.25 * size, (b + d) / size, (c + g) / size, (h - f) / size
+    if e >= i:
+        size = 2.0 * sqrt(max(1.0 + e - a - i, 0.0))
+        return (b + d) / size, 0.25 * size, (f + h) / size, (c - g) / size
+    size = 2.0 * sqrt(max(1.0 + i - a - e, 0.0))
+    return (c + g) / size, (f + h) / size, 0.25 * size, (d - b) / size

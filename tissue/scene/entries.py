@@ -13,12 +13,14 @@ if TYPE_CHECKING:
     from tissue.builders.parts import TissueBuilder
     from tissue.cutters.profile import Profile
     from tissue.haptics.device.device import Device
+    from tissue.hardware.adapter import HardwareAdapter
     from tissue.models.organ.probe import ProbeShape
     from tissue.motion.motion import Motion
     from tissue.motion.quaternion import Triple
     from tissue.prediction.predictor import Predictor
     from tissue.prediction.trained import Trained
     from tissue.scene.anatomy import Part
+    from tissue.scene.hardware import Hardware
     from tissue.scene.scene import Scene
     from tissue.scene.tool import Probe
     from tissue.simulation.run import Run
@@ -117,10 +119,19 @@ class DeviceEntry:
         Those of `tissue.haptics.device.device.DeviceParameters` by their names: what judges and simulates it.
     make
         Opens the real one, from where the tool starts in the scene [m]; without it a simulated one is held.
+    adapter
+        The real one in its own frame, made of the scene's ``hardware``; a `tissue.hardware.mapped.MappedDevice` turns
+        it into the scene's. Its class has ``find()``, which returns a list of `tissue.hardware.adapter.FoundDevice`.
     """
 
     numbers: Mapping[str, float]
     make: "Callable[[Triple], Device] | str | None" = None
+    adapter: "Callable[[Hardware], HardwareAdapter] | str | None" = None
+
+    @property
+    def is_real(self) -> bool:
+        """Whether a real device can be opened."""
+        return self.make is not None or self.adapter is not None
 
 
 @dataclass(frozen=True)

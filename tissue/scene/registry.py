@@ -154,8 +154,19 @@ def _numbers(table: str, *names: str) -> dict[str, float]:
     return {key: entry.value for name in names for key, entry in constants(table, name).items()}
 
 
+ADAPTERS = {
+    "haply": "tissue.hardware.haply:HaplyAdapter",
+    "forcedimension": "tissue.hardware.forcedimension:ForceDimensionAdapter",
+    "sigma-7": "tissue.hardware.forcedimension:SigmaAdapter",
+    "openhaptics": "tissue.hardware.openhaptics:OpenHapticsAdapter",
+    "network": "tissue.hardware.network:NetworkAdapter",
+    "recorded": "tissue.hardware.recorded:RecordedAdapter",
+}
+"""What opens a real device, by its name; the others of the data file are simulated."""
 DEVICES: Registry[DeviceEntry] = Registry(
-    "device", {name: DeviceEntry(_numbers("devices", name)) for name in listed("devices")}, group="tissue.devices"
+    "device",
+    {name: DeviceEntry(_numbers("devices", name), adapter=ADAPTERS.get(name)) for name in listed("devices")},
+    group="tissue.devices",
 )
 """Haptic devices."""
 HANDS: Registry[Mapping[str, float]] = Registry(

@@ -26,6 +26,7 @@ from tissue.scene.coupling import (
     WallAnatomy,
 )
 from tissue.scene.enhancement import Enhancement
+from tissue.scene.hardware import Hardware
 from tissue.scene.keep_clear import KeepClear
 from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
@@ -156,6 +157,8 @@ class Scene(Part):
     """What is changed in the device's force so that forces are discriminated better."""
     coupling: Coupling = Coupling()
     """How the device is coupled to the tool."""
+    hardware: Hardware = Hardware()
+    """Where a real device is, how its axes lie in the scene, and what protects the hand that holds it."""
     stress: Stress | None = None
     """Whether and how finely displacement and stress are computed."""
     heat: bool = False

@@ -95,17 +95,19 @@ def _asks_for_nothing(scene: "Scene", key: str) -> bool:
 
 def _device(scene: "Scene") -> list[Rule]:
     if scene.device == "none":
-        keys = "hand renderer prediction perception enhancement coupling"
+        keys = "hand renderer prediction perception enhancement coupling hardware"
         nothing = "without a device, for nothing is drawn at random then"
         return [
             (keys, True, "without a device", "set device = touch"),
             ("seed", True, nothing, "set device = touch"),
         ]
-    torque = DEVICES[scene.device].numbers.get("torque_limit_Nm", 0.0) > 0.0
+    entry, simulated = DEVICES[scene.device], f"with device = {scene.device}, which no adapter opens"
+    torque = entry.numbers.get("torque_limit_Nm", 0.0) > 0.0
     trained = scene.prediction != "none" and PREDICTORS[scene.prediction].trained
     koopman, points = "set prediction = koopman", "set motion.points_mm"
     wall = isinstance(scene.anatomy, WallAnatomy)
     return [
+        ("hardware", entry.adapter is None, simulated, "set device = haply"),
         ("coupling.stiffness_Nm_rad", not torque, "with a device that plays no torque", "set device = six-dof"),
         ("coupling.prediction_gain", scene.prediction == "none", "without a prediction", koopman),
         ("coupling.prediction_gain", scene.prediction == "hold", "with prediction = hold, the present force", koopman),

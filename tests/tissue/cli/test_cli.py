@@ -31,7 +31,7 @@ from tissue.scene.load import scene_names
         (("run", "milling", "glenoid"), "tissue run must be given nothing more, got glenoid: see `tissue run --help`"),
         (
             ("ruin", "milling"),
-            "command must be one of run, import, scenes, view, report, fit, sweep, compare, stability, calibrate, assess, train, chart, study, schema, got ruin (did you mean run?): see `tissue --help`",
+            "command must be one of run, import, scenes, view, report, fit, sweep, compare, stability, devices, calibrate, assess, train, chart, study, schema, got ruin (did you mean run?): see `tissue --help`",
         ),
         (
             ("run", "milling", "--overwite"),

@@ -172,7 +172,7 @@ def test_another_plan_is_another_session(log):
         (("--observer", "simulated:1", "--trials", "-1"), "trials must be in [0, 100000], got -1"),
         (("--observer", "simulated:1", "--seed", "-1"), "seed must be in"),
         (("--observer", "simulated:1", "--trials", "0", "--numbers", "0"), "trials and numbers must not both be 0"),
-        (("--ask", "--device", "phantom"), "device must be one of mouse, touch, omni, six-dof, got phantom"),
+        (("--ask", "--device", "phantom"), "device must be one of mouse, touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, got phantom"),
         (("--population", "nowhere"), "population must be a folder of sessions, got nowhere"),
         (("--population", "."), "population must hold three sessions or more"),
         (("--observer", "simulated:1", "--out", "."), "out must be the name of a file that ends in .json, got ."),

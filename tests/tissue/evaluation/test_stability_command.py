@@ -21,9 +21,9 @@ def test_a_map_is_printed_and_kept(command, here):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("glenoid",), "device must be one of touch, omni, six-dof for a stability map, got none"),
+        (("glenoid",), "device must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded for a stability map, got none"),
         (("nowhere",), "scene must be a built-in name"),
-        (("wall", "--set", "device=phantom"), "device must be one of none, touch, omni, six-dof, got phantom"),
+        (("wall", "--set", "device=phantom"), "device must be one of none, touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, got phantom"),
     ],
 )
 def test_what_has_no_map_is_refused(command, arguments, sentence):

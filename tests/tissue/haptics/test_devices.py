@@ -270,15 +270,19 @@ def test_published_devices_are_complete_and_cited(name):
     device = device_parameters(name)
     for key, entry in constants("devices", name).items():
         assert entry.low <= entry.value <= entry.high and entry.confidence in "HML" and len(entry.source) > 10, key
-    assert device.stiffness_limit_N_m == {"touch": 400.0, "omni": 700.0, "six-dof": 800.0}[name]
-    assert device.force_limit_N == {"touch": 3.3, "omni": 3.3, "six-dof": 8.5}[name]
-    assert (device.torque_limit_Nm > 0.0) == (name == "six-dof")
-    loop = device.turning_loop(0.3) if name == "six-dof" else device.loop(300.0)
+    limits = {
+        "touch": (400.0, 3.3), "omni": (700.0, 3.3), "six-dof": (800.0, 8.5), "haply": (1000.0, 10.0),
+        "forcedimension": (5000.0, 12.0), "sigma-7": (4000.0, 12.0), "openhaptics": (400.0, 3.3),
+        "network": (1000.0, 3.0), "recorded": (400.0, 3.3),
+    }  # fmt: skip
+    assert (device.stiffness_limit_N_m, device.force_limit_N) == limits[name]
+    assert (device.torque_limit_Nm > 0.0) == (name in ("six-dof", "sigma-7"))
+    loop = device.turning_loop(0.3) if name in ("six-dof", "sigma-7") else device.loop(300.0)
     assert loop.tick_s == 1e-3 and loop.delay_s == device.transport_delay_s
 
 
 def test_unusable_devices_are_refused():
-    with pytest.raises(InputError, match="device must be one of touch, omni, six-dof, got falcon"):
+    with pytest.raises(InputError, match="device must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, got falcon"):
         device_parameters("falcon")
     with pytest.raises(InputError, match="mass_kg must be positive"):
         DeviceParameters(mass_kg=0.0, damping_N_s_m=0.1)

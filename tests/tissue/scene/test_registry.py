@@ -66,7 +66,7 @@ def test_a_device_from_outside_is_held(added):
     weak, strong = run_of(device="feather"), run_of(device="touch")
     assert 0.19 < force_N(weak).max() <= 0.2 and force_N(strong).max() > 0.5
     with pytest.raises(
-        InputError, match=r"device must be one of none, touch, omni, six-dof, feather, got fether \(did"
+        InputError, match=r"device must be one of none, touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, feather, got fether \(did"
     ):
         load_scene("wall", {"device": "fether"})
     with pytest.raises(

@@ -149,7 +149,9 @@ def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch, block
     plotter = Plotter()
     bone = LiveBone(plotter, BoneSurface(shared.start, arrays))
     names = run.volume.layer_names
-    assert list(bone.colours) == [n for i, n in enumerate(names) if (run.volume.fraction[run.volume.layer == i] > 0).any()]
+    assert list(bone.colours) == [
+        n for i, n in enumerate(names) if (run.volume.fraction[run.volume.layer == i] > 0).any()
+    ]
     before = plotter.meshes["bone"].volume
     # A closed surface at half full holds the bone but for its rounded edges.
     assert before == pytest.approx(1e9 * milling.start_m3.sum(), rel=0.03)

@@ -15,7 +15,8 @@ from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.registry import DEVICES
 
 __all__ = [
-    "ComputedDevice", "Device", "DeviceError", "DeviceParameters", "KnowsTruth", "Sample", "device_parameters",
+    "ComputedDevice", "Device", "DeviceError", "DeviceParameters", "KnowsTruth", "Sample", "StatesPlayed",
+    "device_parameters",
 ]  # fmt: skip
 
 
@@ -62,6 +63,20 @@ class KnowsTruth(Protocol):
     @property
     def hand_force_N(self) -> Triple:
         """Force with which the device pushes the hand, mean over the tick before the last sample [N]."""
+        ...
+
+
+@runtime_checkable
+class StatesPlayed(Protocol):
+    """A device that plays less than it is commanded for reasons of its own, and states what."""
+
+    @property
+    def played(self) -> tuple[Array, Array]:
+        """Force [N] and torque [N m] on the hand since the last command, in the world frame."""
+        ...
+
+    def happened(self) -> list[tuple[float, str]]:
+        """What it has found so far, time [s] and a sentence each."""
         ...
 
 

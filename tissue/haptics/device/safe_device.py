@@ -12,7 +12,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample
+from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample, StatesPlayed
 from tissue.haptics.loop.filters import SlewLimit
 from tissue.models.tissue_model import TICK_S
 
@@ -24,6 +24,8 @@ STALL_S = 0.05
 """How long a force is left on a device without another command [s]."""
 GIVE_UP_S = 1.0
 """How long a read or a command may take before the device counts as lost [s]."""
+OPENING_S = 10.0
+"""The same of opening a device, which may have to be searched, reached and woken [s]."""
 ANSWER_S = 0.2
 """How long a command of zero from a second thread, or a close, may take [s]."""
 OPENED = ", and give it without `with`: the run opens and closes it"
@@ -42,7 +44,7 @@ class SafeDevice:
     hold a device for many runs.
 
     A device that is not ``in_process`` may block. A thread that calls `stop_if_stuck` often sends zero once no command
-    came for `STALL_S`, and gives the device up once a call has lasted `GIVE_UP_S`.
+    came for `STALL_S`, and gives the device up once a call has lasted `GIVE_UP_S`, or opening it `OPENING_S`.
 
     Parameters
     ----------
@@ -69,6 +71,7 @@ class SafeDevice:
         self._holder = device if isinstance(device, SafeDevice) else None
         self.device: Device = device.device if isinstance(device, SafeDevice) else device
         self.in_process = bool(getattr(self.device, "in_process", False))
+        self._states = self.device if isinstance(self.device, StatesPlayed) else None
         self.entered = False
         self.released = False
         self.slow_reads, self.slowest_read_s, self._releases = 0, 0.0, 0
@@ -85,7 +88,7 @@ class SafeDevice:
         self._closed = False
 
     def happened(self) -> list[tuple[float, str]]:
-        """Slow reads and limited changes so far, time of the last read [s] and a sentence each."""
+        """Slow reads, limited changes and what the device states so far, time [s] and a sentence each."""
         found = []
         if self.slow_reads:
             slowest = f"{1e3 * self.slowest_read_s:.3g} ms"
@@ -95,7 +98,8 @@ class SafeDevice:
             found.append(f"the force was taken off and faded in again {self._releases} times, because {late}")
         if held := max(self._force.limited, self._torque.limited):
             found.append(f"the device's slew held the force back in {held} ticks")
-        return [(self._time_s, what) for what in found]
+        stated = self._states.happened() if self._states is not None else []
+        return stated + [(self._time_s, what) for what in found]
 
     def __enter__(self) -> Self:
         held = self._holder is not None and self._holder.entered
@@ -153,7 +157,7 @@ class SafeDevice:
         return sample if took <= 2.5 * self._tick else None
 
     def play(self, force_N: Array, torque_Nm: Array) -> tuple[Array, Array]:
-        """Command a force [N] and a torque [N m], brought within the limits of slew; what was commanded.
+        """Command a force [N] and a torque [N m], brought within the limits of slew; what is played of it.
 
         Raises
         ------
@@ -169,7 +173,7 @@ class SafeDevice:
                 with suppress(Exception):
                     self.device.command(np.zeros(3), np.zeros(3))
                 raise self._lost
-        return force, torque
+        return (force, torque) if self._states is None else self._states.played
 
     def stop(self, reason: BaseException) -> None:
         """Let the next read raise ``reason``; the force is then ramped to zero."""
@@ -181,9 +185,10 @@ class SafeDevice:
         if now - self._played > STALL_S:
             self.release()
         name, since = self._call
-        if now - since > GIVE_UP_S and self._lost is None:
+        limit, within = (OPENING_S, f"{OPENING_S:g} s") if name == "__enter__" else (GIVE_UP_S, "a tick")
+        if now - since > limit and self._lost is None:
             self._lost = DeviceError(
-                f"device.{name} must return within a tick, got no answer for {GIVE_UP_S:g} s: check the device and its "
+                f"device.{name} must return within {within}, got no answer for {limit:g} s: check the device and its "
                 f"cable{self._close()}"
             )
         return self._lost

@@ -97,7 +97,7 @@ class LiveScene:
             "low_mm": 1e3 * start["low_m"],
             "high_mm": 1e3 * start["high_m"],
         }
-        self._updated, self._took = 0.0, 0.0
+        self._updated, self._took, self._greatest = 0.0, 0.0, LEAST_N
 
     def update_tissue(self) -> bool:
         """Bring the tissue up to date where that is time; whether it changed."""
@@ -133,4 +133,3 @@ class LiveScene:
         self.plotter.add_mesh(self._spring, line_width=3, **look)
         tool = turning_tool(self.scene.tool)
         self._tool = ToolShown(self.plotter, tool, longest_mm=0.25 * size_mm, opacity=0.5)
-        self._greatest = LEAST_N

@@ -30,7 +30,7 @@ def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
         for value in spaced(low, high, STOPS).tolist():
             colour = [0.0, 0.0, 0.0]
             table.GetColor(value, colour)
-            colours.append(to_hex(colour))
+            colours.append(to_hex((colour[0], colour[1], colour[2])))
         digits = max(2 - floor(log10(max(high - low, 1e-12))), 0)
         kind = ".2g" if table.UsingLogScale() or digits > 4 else f".{digits}f"
         labels = [format(value, kind) for value in spaced(low, high, MARKS).tolist()]

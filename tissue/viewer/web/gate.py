@@ -1,9 +1,13 @@
 """Who may see a page: requests to this machine's own address, with the token, from no other site."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from secrets import compare_digest, token_urlsafe
+from typing import TYPE_CHECKING
 
 from aiohttp import web
+
+if TYPE_CHECKING:
+    from aiohttp.typedefs import Handler, Middleware
 
 __all__ = ["HOST", "SOCKET", "gate", "new_token", "refusal"]
 
@@ -19,8 +23,6 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
 }
 """Of every answer: nothing is kept, no other site embeds it, and the token in the address is not sent on."""
-
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 def new_token() -> str:
@@ -55,11 +57,11 @@ def refusal(*, host: str, origin: str | None, given: str, port: int, token: str,
     return None
 
 
-def gate(token: str, port: Callable[[], int]) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
+def gate(token: str, port: Callable[[], int]) -> "Middleware":
     """Middleware that answers 403 to what `refusal` refuses; ``port`` is known once it is served."""
 
     @web.middleware
-    async def judge(request: web.Request, handler: Handler) -> web.StreamResponse:
+    async def judge(request: web.Request, handler: "Handler") -> web.StreamResponse:
         why = refusal(
             host=request.headers.get("Host", ""),
             origin=request.headers.get("Origin"),

@@ -21,6 +21,8 @@ LEFT_S = 8.0
 """How long a page may be closed before what it shows ends [s]: time enough to load it again."""
 HEARTBEAT_S = 5.0
 """Time in which a page that does not answer is taken as closed [s]."""
+CLOSES_S = 2.0
+"""How long a page is waited for that is closed from here [s]."""
 REPLACED = 4001
 """Code with which a page is closed that another one takes the place of."""
 POLICY = (
@@ -35,8 +37,11 @@ class Session(Protocol):
 
     kind: str
     """Which page it is: ``live`` or ``view``."""
-    over: bool
-    """Whether it has ended."""
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended."""
+        ...
 
     def hello(self) -> dict[str, Any]:
         """What a page that has just opened needs."""
@@ -86,7 +91,7 @@ class PageServer:
         app = web.Application(middlewares=[gate(self._token, lambda: self._port)])
         app.router.add_get("/", self._page)
         app.router.add_get(SOCKET, self._connect)
-        runner = web.AppRunner(app, access_log=None, handle_signals=False)
+        runner = web.AppRunner(app, access_log=None, handle_signals=False, shutdown_timeout=CLOSES_S)
         await runner.setup()
         try:
             site = web.TCPSite(runner, HOST, port)
@@ -127,7 +132,7 @@ class PageServer:
         return web.Response(text=text, content_type="text/html", headers={"Content-Security-Policy": policy})
 
     async def _connect(self, request: web.Request) -> web.WebSocketResponse:
-        socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=LARGEST)
+        socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, timeout=CLOSES_S, max_msg_size=LARGEST)
         await socket.prepare(request)
         before, self._socket = self._socket, socket
         self._drawing = self._opened = True

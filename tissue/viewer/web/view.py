@@ -12,6 +12,7 @@ from typing import IO
 from meshes.base.errors import InputError
 from tissue.system.child import await_ready, child_command
 from tissue.system.offscreen import REMEDY, drawing_environments
+from tissue.system.stopping import Terminated
 from tissue.viewer.window import Choice
 
 __all__ = ["serve_view"]
@@ -49,6 +50,8 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
                     child.wait()
                     return
                 why = problem or _last_line(output) or f"its process ended with exit code {child.returncode}"
+            except Terminated:
+                raise
             except KeyboardInterrupt:
                 return
             finally:

@@ -64,7 +64,7 @@ class ForcePlot {
     pen.lineJoin = "round";
     for (const [, colour, place] of CURVES) {
       pen.strokeStyle = colour;
-      pen.lineWidth = place === 4 ? 4.5 : 1.8;
+      pen.lineWidth = place === 4 ? 5.2 : 2.2;
       pen.beginPath();
       for (const row of this.rows) pen.lineTo(x(row[0]), y(row[place]));
       pen.stroke();

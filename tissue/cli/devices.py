@@ -1,0 +1,138 @@
+"""``tissue devices``."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from tissue.cli.terminal import console, left_out, problems
+
+if TYPE_CHECKING:
+    from tissue.hardware.adapter import FoundDevice
+    from tissue.hardware.self_test import SelfTest
+
+__all__ = ["devices"]
+
+
+def devices(
+    *,
+    test: str | None = None,
+    address: str | None = None,
+    seconds: float | None = None,
+    yes: Annotated[bool, Parameter(negative="")] = False,
+    out: Path | None = None,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
+) -> None:
+    """List the haptic devices that are found and their limits, or test one of them.
+
+    The test measures how often and how evenly a device gives samples and its latency, with no force, and then pushes
+    the hand by 0.5 N if that is confirmed. Not for clinical use.
+
+    Parameters
+    ----------
+    test
+        Name of the device to test, such as haply or network.
+    address
+        Where it is, as a scene's hardware.address states it; without it the usual place.
+    seconds
+        How long to measure, 2 without it.
+    yes
+        Push without asking.
+    out
+        TOML file for the measured rate and latency, which a scene takes by its key materials.
+    overwrite
+        Replace the file.
+    """
+    if test is None:
+        left_out("without --test", "name a device by --test", address=address, seconds=seconds, yes=yes, out=out)
+        left_out("without --out", "remove it", overwrite=overwrite)
+        _list()
+        return
+    if out is None:
+        left_out("without --out", "remove it", overwrite=overwrite)
+    _test(test, address or "", 2.0 if seconds is None else seconds, out, yes=yes, overwrite=overwrite)
+
+
+def _list() -> None:
+    from tissue.hardware.search import devices as found_devices
+
+    with problems.status("looking for devices"):
+        found = found_devices()
+    here = [each for each in found if not each.problem]
+    for each in here:
+        console.print(f"{each.name:<15} {each.where}  {each.detail}", f"{'':<15} {_limits(each)}", sep="\n")
+    if not here:
+        console.print("no device is found")
+    for each in found:
+        if each.problem:
+            console.print(f"{each.name:<15} {each.problem}")
+
+
+def _limits(found: "FoundDevice") -> str:
+    limits = found.limits
+    if limits is None:
+        return "limits are not known"
+    torque = f", {limits.torque_limit_Nm:g} N m" if limits.torque_limit_Nm > 0.0 else ", no torque"
+    box = " x ".join(f"{1e3 * edge:g}" for edge in limits.workspace_m)
+    return (
+        f"at most {limits.force_limit_N:g} N{torque}; workspace {box} mm; {limits.rate_Hz:g} Hz and "
+        f"{1e3 * limits.transport_delay_s:g} ms of latency unless measured"
+    )
+
+
+def _test(name: str, address: str, seconds: float, out: Path | None, *, yes: bool, overwrite: bool) -> None:
+    from meshes.base.errors import InputError
+    from tissue.hardware.measured_file import write_measured
+    from tissue.hardware.self_test import BUMP_N, BUMP_S, bump, self_test
+    from tissue.scene.hardware import Hardware
+    from tissue.scene.named_parts import loaded, unknown_name
+    from tissue.scene.registry import DEVICES
+    from tissue.system.outputs import require_new_file
+
+    known = [each for each in DEVICES if DEVICES[each].adapter is not None]
+    if name not in known:
+        raise InputError(unknown_name("--test", known, name))
+    if out is not None:
+        require_new_file(out, overwrite=overwrite)
+        if not out.parent.is_dir():
+            raise InputError(f"out must lie in a folder that exists, got {out}: create {out.parent}")
+    make = loaded(DEVICES[name].adapter)
+    assert make is not None
+    with make(Hardware(address=address)) as adapter:
+        with problems.status(f"measuring {name} for {seconds:g} s: move the handle"):
+            measured = self_test(adapter, seconds=seconds)
+        console.print(*_lines(measured), sep="\n")
+        if yes or _confirmed(f"{BUMP_N:g} N for {BUMP_S:g} s"):
+            pushed = bump(adapter)
+            console.print(
+                f"push              {BUMP_N:g} N along the device's z: moved {1e3 * pushed.along_m:.2f} mm along it, "
+                f"{1e3 * pushed.moved_m:.2f} mm in all"
+            )
+        else:
+            console.print("push              not confirmed: left out")
+    if out is not None:
+        write_measured(out, name, measured)
+        console.print(f'written to {out}: use it in a scene by --set materials="{out}"')
+
+
+def _lines(measured: "SelfTest") -> list[str]:
+    from math import isfinite
+
+    def ms(middle: float, most: float) -> str:
+        return f"{1e3 * middle:.3f} ms, 99 % {1e3 * most:.3f} ms" if isfinite(middle) else "not shown by this device"
+
+    return [
+        f"samples           {measured.samples} in {measured.seconds:g} s, {measured.rate_Hz:.0f} Hz",
+        f"interval          {ms(measured.interval_s, measured.interval_99_s)}, max {1e3 * measured.longest_s:.3f} ms",
+        f"calls             {ms(measured.call_s, measured.call_99_s)}",
+        f"round trip        {ms(measured.round_trip_s, measured.round_trip_99_s)}",
+    ]
+
+
+def _confirmed(push: str) -> bool:
+    """Whether a person who holds the device wants to be pushed."""
+    console.print(f"Hold the handle loosely; the device will push with at most {push}. Type push and Enter to feel it:")
+    try:
+        return input().strip().lower() == "push"
+    except EOFError:
+        return False

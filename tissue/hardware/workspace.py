@@ -1,0 +1,80 @@
+"""Where a device's workspace lies in the scene: its turn, its place, and what a clutch makes of both."""
+
+from math import isfinite, radians
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from tissue.motion.motion import matrix_of
+from tissue.motion.quaternion import Quaternion, Triple, conjugate, exponential, product, unit
+
+__all__ = ["Workspace"]
+
+NO_TURN: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+
+class Workspace:
+    """Turns and places the poses of a device, and turns forces back into its axes.
+
+    Positions become ``R x + d``: the turn R is constant, and d is where the first pose is the tool's start. While the
+    clutch is held the pose in the scene stays, and d and the first orientation are chosen anew when it is let go, so
+    that the pose goes on without a jump. As R is a rotation, force times velocity is the same power in both frames.
+
+    Parameters
+    ----------
+    turn_deg
+        Turn of the device's axes into the world's, about the world's x, then y, then z.
+    start_m
+        Where the first pose lies [m].
+
+    Attributes
+    ----------
+    is_placed
+        Whether there was a first pose.
+    """
+
+    def __init__(self, turn_deg: Triple, start_m: Triple) -> None:
+        x, y, z = map(radians, turn_deg)
+        self._turn = product(
+            exponential((0.0, 0.0, z)), product(exponential((0.0, y, 0.0)), exponential((x, 0.0, 0.0)))
+        )
+        self._matrix = matrix_of(np.array(self._turn))
+        self._rows: list[list[float]] = self._matrix.tolist()
+        self._start = start_m
+        self.forget()
+
+    def forget(self) -> None:
+        """Let the next pose be the first one."""
+        self.is_placed, self._clutched = False, False
+        self._shift: Triple = (0.0, 0.0, 0.0)
+        self._pose: tuple[Triple, Quaternion] = (self._start, NO_TURN)
+        self._from, self._onto = NO_TURN, NO_TURN
+
+    def turned(self, vector: Triple) -> Triple:
+        """A vector of the device's axes in the world's."""
+        a, b, c = vector
+        x, y, z = self._rows
+        return x[0] * a + x[1] * b + x[2] * c, y[0] * a + y[1] * b + y[2] * c, z[0] * a + z[1] * b + z[2] * c
+
+    def at_device(self, vector: Array) -> Array:
+        """A vector of the world's axes in the device's, shape (3,)."""
+        return vector @ self._matrix
+
+    def pose(self, position_m: Triple, quaternion: Quaternion, *, clutched: bool) -> tuple[Triple, Quaternion]:
+        """Position [m] and orientation in the scene, which starts without a turn, of those of the device."""
+        if clutched and self.is_placed:
+            self._clutched = True
+            return self._pose
+        x, y, z = self.turned(position_m)
+        turned = self._in_world(quaternion)
+        if (self._clutched or not self.is_placed) and isfinite(x + y + z + sum(turned)):
+            (a, b, c), onto = self._pose
+            self._shift, self._onto, self._from = (a - x, b - y, c - z), onto, conjugate(turned)
+            self.is_placed, self._clutched = True, clutched
+        a, b, c = self._shift
+        self._pose = (x + a, y + b, z + c), product(product(turned, self._from), self._onto)
+        return self._pose
+
+    def _in_world(self, quaternion: Quaternion) -> Quaternion:
+        """An orientation of the device in the world's axes; one without length passes, for who judges samples."""
+        return product(product(self._turn, unit(quaternion) or quaternion), conjugate(self._turn))
