@@ -1,6 +1,6 @@
 """Lateness of live ticks at ordinary and at raised priority: ``python tests/bench/bench_jitter.py --minutes 2``.
 
-A wall by a simulated hand runs against the wall clock without a window, in turns of 10 s: on the machine as it is and with a
+A scene, by default a wall by a simulated hand, runs against the wall clock without a window, in turns of 10 s: on the machine as it is and with a
 process on every core that does nothing but count, at ordinary priority and as raised as the system grants. The four take
 turns, so that what the machine does besides falls on all of them. The load that was there already is printed.
 """
@@ -28,12 +28,12 @@ ORDINARY = "ordinary priority"
 COUNT = "while True:\n    pass"
 
 
-def ticks_of(raised, loaded):
+def ticks_of(name, raised, loaded):
     """Lateness and duration of the ticks of one turn [us], what the clock skipped [ms], and the priority."""
     count = os.cpu_count() or 1
     busy = [subprocess.Popen([sys.executable, "-c", COUNT]) for _ in range(count if loaded else 0)]
     try:
-        scene = load_scene("wall", {"duration_s": TURN_S})
+        scene = load_scene(name, {"duration_s": TURN_S})
         observer = LiveObserver(scene, None, WallClock(TICK_S))
         along = Prioritised(observer) if raised else observer
         run = simulate(scene, observer=along)
@@ -49,14 +49,16 @@ def main():
     """Measure and print a table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--minutes", type=float, default=1.0, help="of each of the four")
-    turns = max(round(60.0 * parser.parse_args().minutes / TURN_S), 1)
+    parser.add_argument("--scene", default="wall")
+    given = parser.parse_args()
+    turns = max(round(60.0 * given.minutes / TURN_S), 1)
     print(machine())
     print(f"{turns} turns of {TURN_S:g} s each; load before: {os.getloadavg()[0]:.1f}", flush=True)
     kinds = [(loaded, raised) for loaded in (False, True) for raised in (False, True)]
     found = {kind: [] for kind in kinds}
     for _ in range(turns):
         for loaded, raised in kinds:
-            found[loaded, raised].append(ticks_of(raised, loaded))
+            found[loaded, raised].append(ticks_of(given.scene, raised, loaded))
     rows = []
     for (loaded, _), parts in found.items():
         late, tick = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
