@@ -118,6 +118,16 @@ def test_a_wall_is_pressed_in_closed_loop_until_hand_and_wall_balance(version):
     assert max(np.linalg.norm(force) for *_, force in commands) <= 10.0 and not any(commands[-1][2])
 
 
+def test_a_coupling_that_the_judge_refuses_does_not_come_to_rest():
+    with RemoteService(press_m=0.03) as service:
+        stiff = scene_on(service, **{"coupling.stiffness_N_m": 8000.0, "duration_s": 1.5})
+        with pytest.raises(InputError, match=r"coupling\.stiffness_N_m must be"):
+            simulate(stiff)
+        at_rest = AtRest(150, 0.2)
+        simulate(stiff, on_tick=at_rest, allow_unstable=True)
+        assert not at_rest.reached and not any(service.commands()[-1][2])
+
+
 FAULTS = {
     "dropped": lambda service: service.set(dropped=1.0),
     "late": lambda service: service.set(late_s=0.08),

@@ -130,7 +130,7 @@ class Run(RunData):
             Processes that run samples beside each other, where each is a run of its own, as a needle's is. A script
             that asks for several must begin below ``if __name__ == "__main__":``.
         scheduler
-            ``dask://ADDRESS`` of a Dask scheduler, whose workers run samples instead.
+            Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, whose workers run samples instead.
         each_run
             Run every sample where reweighing the loads would do, so that temperature and stress have bands too.
         compute, cores, progress

@@ -1,13 +1,15 @@
 """Build what a probe presses or a needle pierces: soft organs, and a stiff wall."""
 
+from functools import partial
 from math import inf
 
 import numpy as np
 
 from meshes.base.errors import names_of_caller
+from meshes.base.kept import Kept
 from meshes.base.progress import Progress
 from meshes.shapes.polyline import kept_corners
-from tissue.builders.organ import elasticity_of, held_mesh
+from tissue.builders.organ import HeldMesh, elasticity_of, held_mesh
 from tissue.builders.organ_body import capsule_of, density_of, prony_of
 from tissue.builders.organ_law import organ_law
 from tissue.builders.parts import Parts
@@ -29,6 +31,10 @@ KEPT = 0.01
 """Edges of the mesh by which a corner of the path that is left out may lie beside it: a log has one each tick."""
 HAND_M = 0.01
 """How far from the planned track a hand's entry is still shown on it [m]: an eighth of its block."""
+
+
+_meshes: Kept[HeldMesh] = Kept(2)
+"""Of procedural organs, by their parameters and the tool's path."""
 
 
 def pierced(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
@@ -78,7 +84,9 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
     within_m, path = 1e-3 * KEPT * edge_mm, motion.sweep_m()
     path = path[kept_corners(path, within_m)]
-    found = held_mesh(anatomy, path_m=path, touch_edge_m=1e-3 * edge_mm, report=report)
+    meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=1e-3 * edge_mm, report=report)
+    from_file = isinstance(anatomy, LiverAnatomy) and anatomy.file is not None
+    found = meshed() if from_file else _meshes.of((anatomy.model_dump_json(), path.tobytes(), edge_mm), meshed)
     elasticity, note = elasticity_of(found.mesh, anatomy, organ, scene.constants)
     probe = loaded(PROBES[scene.tool.kind].make)(scene.tool)
     notes |= found.notes | {"modulus": note}

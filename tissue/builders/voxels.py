@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, names_of_caller
+from meshes.base.kept import Kept
 from meshes.base.progress import Progress, silent
 from meshes.shapes import sdf
 from meshes.shapes.anatomy import Anatomy, cortical_block
@@ -48,6 +50,12 @@ BRICK = 8
 a tool only grazes voxels, float32 coordinates from another origin still decide otherwise in single ticks."""
 
 
+MOST_KEPT = 4e6
+"""Voxels above which a volume is made anew for each run rather than kept: some 70 MB."""
+_volumes: Kept[VoxelVolume] = Kept(2)
+"""Of procedural bone, which follows from its parameters, by them, the region and the guide hole."""
+
+
 def whole_tooth(scene: Scene, *, spacing_m: float, report: Progress = silent) -> VoxelVolume:
     """The whole tooth that a scene describes, in coarser voxels, undrilled."""
     with _named(scene.bone):
@@ -79,13 +87,14 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
         )
     low, high = _covered(region, bone, spacing)
     _require_memory(region, bone, spacing)
-    return voxelise(
-        anatomy,
-        spacing_m=spacing,
-        region_m=(low, high),
-        minus=_guide_hole(scene, motion),
+    voxels = partial(
+        voxelise, anatomy, spacing_m=spacing, region_m=(low, high), minus=_guide_hole(scene, motion),
         progress=lambda share: report("voxelising", share),
-    )
+    )  # fmt: skip
+    if not is_procedural(parameters) or np.prod((high - low) / spacing) > MOST_KEPT:
+        return voxels()
+    start = motion.sweep_m()[0].tobytes(), motion.rotations()[0].tobytes()
+    return _volumes.of((parameters.model_dump_json(), spacing, low.tobytes(), high.tobytes(), *start), voxels)
 
 
 def is_procedural(parameters: AnatomyFile) -> bool:

@@ -80,7 +80,7 @@ def run(
     workers
         Processes that run the samples of a band beside each other, where each is a run of its own.
     scheduler
-        dask://ADDRESS: run the samples of a band on the workers of that Dask scheduler instead.
+        tcp://HOST:PORT or tls://HOST:PORT: run the samples of a band on the workers of that Dask scheduler instead.
     each_run
         Run every sample of a band where reweighing the loads would do, so that temperature and stress have bands too.
     live

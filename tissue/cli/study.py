@@ -56,7 +56,7 @@ def run(
     workers
         Processes; default one a core.
     scheduler
-        dask://ADDRESS: run on the workers of that Dask scheduler instead.
+        tcp://HOST:PORT or tls://HOST:PORT: run on the workers of that Dask scheduler instead.
     out
         Folder of the study; default studies/paper.
     retry

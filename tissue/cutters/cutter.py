@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels.revolution import EDGE_BEND
+from meshes.base.kept import Kept
 from tissue.cutters.profile import Piece, Profile
 
 __all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
@@ -110,6 +111,10 @@ class Cutter:
         Elements lie on golden-angle spirals, a Fibonacci lattice over each piece: no two share a height, so the rim of
         a cut never meets many at once, and sums over part of the surface converge almost as fast as over all of it.
         """
+        return _shells.of((self.profile, spacing_m), lambda: self._shell(spacing_m))
+
+    def _shell(self, spacing_m: float) -> PointShell:
+        """The same, made anew."""
         parts = [spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting]
         points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.concatenate(_patches(points, np.arange(len(points))))
@@ -118,6 +123,10 @@ class Cutter:
 
     def table(self, *, spacing_m: float) -> DistanceTable:
         """Distance table in voxels of ``spacing_m``."""
+        return _tables.of((self.profile, spacing_m), lambda: self._table(spacing_m))
+
+    def _table(self, spacing_m: float) -> DistanceTable:
+        """The same, made anew."""
         low, high = (h / spacing_m for h in self.profile.height_range_m)
         reach = self.profile.radius_m / spacing_m
         cells = float(np.clip(ceil(sqrt(1.0 / (8.0 * TABLE_ERROR_VOXELS * reach))), *CELLS_PER_VOXEL))
@@ -144,6 +153,11 @@ class Cutter:
             low,
             high,
         )
+
+
+_tables: Kept[DistanceTable] = Kept(8)
+_shells: Kept[PointShell] = Kept(8)
+"""By the profile and the spacing, of voxels or of elements."""
 
 
 def spiral(piece: Piece, *, spacing_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

@@ -225,19 +225,10 @@ class HandMotion(Motion):
         if (sample := self._sample) is None:
             self._pause()
         else:
-            both = self._both
-            both[:3] = here = np.array(sample.position_m)
-            both[3:] = tip = (self.tool.tip_m - self._shift) / self._scale
-            if self._speeds is not None:
-                rates = self._speeds.step(both)
-                speed, went = rates[:3], rates[3:]
-            else:
-                speed, went = np.array(sample.velocity_m_s), self._went / self._scale
-            if self._fresh:
-                self._raw = self._contact.render(here, speed, tip, went, self._step)
-                if self._turning_law is not None:
-                    turned, spin, still = self.tool.quaternion, np.array(sample.spin_rad_s), np.zeros(3)
-                    self._torque = self._turning_law.render(sample.quaternion, spin, turned, still, self._step)
+            here, speed = self._render(sample)
+            if self._fresh and self._turning_law is not None:
+                turned, spin, still = self.tool.quaternion, np.array(sample.spin_rad_s), np.zeros(3)
+                self._torque = self._turning_law.render(sample.quaternion, spin, turned, still, self._step)
             row[at.RAW_FORCE] = force = self._raw
             if self.predictor is not None:
                 if self._sees is not None:
@@ -263,6 +254,28 @@ class HandMotion(Motion):
         self.observer.hold(played)
         row[at.PLAYED_FORCE], row[at.PLAYED_TORQUE] = played, turning
         row[at.SATURATED], row[at.ENERGY] = compressed, self.observer.energy_J
+
+    def raw_force_N(self) -> Array:
+        """The renderer's force of a tick in which nothing is played, shape (3,); without a sample that of the last."""
+        if self._sample is not None:
+            self._render(self._sample)
+        elif self._speeds is not None:
+            self._speeds.pause()
+        return self._raw
+
+    def _render(self, sample: Sample) -> tuple[Array, Array]:
+        """Find the force between device and tool; position and velocity of the device."""
+        both = self._both
+        both[:3] = here = np.array(sample.position_m)
+        both[3:] = tip = (self.tool.tip_m - self._shift) / self._scale
+        if self._speeds is not None:
+            rates = self._speeds.step(both)
+            speed, went = rates[:3], rates[3:]
+        else:
+            speed, went = np.array(sample.velocity_m_s), self._went / self._scale
+        if self._fresh:
+            self._raw = self._contact.render(here, speed, tip, went, self._step)
+        return here, speed
 
     def _pause(self) -> None:
         """Nothing is known of the device in this tick."""

@@ -228,7 +228,7 @@ class HaplyLink:
             self._force, self._problem = NO_FORCE, problem
         elif (sample := self.state.sample()) is not None:
             was_wrong, now = self._order.is_wrong, perf_counter()
-            if not self._order.observe(sample):
+            if not self._order.observe(sample, now):
                 if now - self._asked_s < ANSWER_S:  # this thread may have stood still before it took the answer
                     self._sample, self._sampled_s = sample, now
             elif not was_wrong:

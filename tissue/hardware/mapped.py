@@ -34,7 +34,8 @@ class MappedDevice:
     Parameters
     ----------
     adapter
-        The device in its own frame.
+        The device in its own frame. It may have ``releases``, how often it has taken the force off by itself, after
+        which the ramp begins anew, and ``happened()``, sentences of what it has found.
     hardware
         How its workspace lies in the scene, and the limits.
     start_m

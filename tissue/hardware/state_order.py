@@ -1,13 +1,14 @@
 """Recognise states that come in another order than that in which they were measured, though nothing numbers them."""
 
-from math import hypot
+from math import exp, hypot
 
 from tissue.hardware.adapter import HardwareSample
 
 __all__ = ["StateOrder"]
 
-MEMORY = 24.0
-"""States over which contradictions are averaged: a velocity that is filtered may lag behind a blow for 6 of them."""
+MEMORY_S, LONGEST_S = 0.024, 0.005
+"""Time over which contradictions are averaged, so that a velocity may lag 6 ms behind a blow, and the longest time for
+which one state counts [s]."""
 WRONG, RIGHT = 0.25, 0.05
 """Share of contradictions from which the order is wrong, and below which it is right again."""
 LEAST_M, LEAST_M_S = 2e-4, 0.05
@@ -20,8 +21,7 @@ class StateOrder:
     """Whether the steps between states go where the states' own velocities go.
 
     A state that is older than the one before it steps back against the velocity of both. Of states in a random order
-    about half do; a share of a quarter is reached by them within 17 states, and by less than 7 that are one after
-    another not at all.
+    about half do, and a share of a quarter is reached within 17 ms.
 
     Attributes
     ----------
@@ -31,12 +31,13 @@ class StateOrder:
 
     def __init__(self) -> None:
         self.is_wrong = False
-        self._share = 0.0
+        self._share = self._came_s = 0.0
         self._last: HardwareSample | None = None
 
-    def observe(self, sample: HardwareSample) -> bool:
-        """Take a state; whether the order is wrong."""
-        last, self._last = self._last, sample
+    def observe(self, sample: HardwareSample, time_s: float) -> bool:
+        """Take a state that came at a time [s]; whether the order is wrong."""
+        last, elapsed = self._last, min(time_s - self._came_s, LONGEST_S)
+        self._last, self._came_s = sample, time_s
         if last is None:
             return False
         (x, y, z), (a, b, c) = sample.position_m, last.position_m
@@ -45,7 +46,7 @@ class StateOrder:
         length, fast = hypot(*step), hypot(*speed)
         against = length > LEAST_M and fast > LEAST_M_S
         against = against and step[0] * speed[0] + step[1] * speed[1] + step[2] * speed[2] < AGAINST * length * fast
-        self._share += (against - self._share) / MEMORY
+        self._share += (1.0 - exp(-elapsed / MEMORY_S)) * (against - self._share)
         if self._share > WRONG:
             self.is_wrong = True
         elif self._share < RIGHT:

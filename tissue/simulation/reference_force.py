@@ -12,16 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.progress import silent
 from tissue.builders.loop import judged_loop, lead_ticks, motor_path
 from tissue.builders.loop_settings import loop_settings
 from tissue.builders.parts import Parts
+from tissue.builders.registry import build
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE, VIBRATION
+from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.motor_path import force_later_N, mean_over_ticks_N, motor_force_N
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
-from tissue.simulation.simulate import TICK_S, simulate
+from tissue.simulation.prompt_loop import rendered_force_N
+from tissue.simulation.simulate import TICK_S, tick_count
 from tissue.simulation.trace import Table
 
 __all__ = ["MotorForces", "ideal_force_N", "ideal_scene", "motor_forces", "played_force_N", "stretch_force_N"]
@@ -91,7 +95,10 @@ def ideal_force_N(run: SimulatedRun, finest: Mapping[str, object] | None = None,
         rate_Hz=1.0 / TICK_S,
     )
     scene = ideal_scene(run.scene, finest).model_copy(update={"duration_s": len(trace.rows) * TICK_S})
-    return simulate(scene, cores=cores, allow_unstable=True, device=played_back).trace.vectors("raw_force", "N")
+    parts = build(scene, step_s=TICK_S, compute="cpu", cores=cores, report=silent, allow_unstable=True)
+    assert isinstance(parts.motion, HandMotion)
+    parts.motion.device, parts.motion.after_s = played_back, 0.0
+    return rendered_force_N(parts, tick_count(scene, parts.motion))
 
 
 def stretch_force_N(run: SimulatedRun) -> Array:

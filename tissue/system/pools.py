@@ -5,6 +5,7 @@ import logging
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor
 from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
@@ -12,6 +13,10 @@ from tissue.system.workers import worker_pool
 
 __all__ = ["LOST", "executor"]
 
+SCHEMES = {"tcp": "tcp", "tls": "tls", "dask": "tcp"}
+"""Kinds of address, and as what Dask knows them."""
+CERTIFICATES = ("ca-file", "client.cert", "client.key")
+"""Files that Dask's configuration must name for a client of a scheduler with TLS, below ``distributed.comm.tls``."""
 LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
 """Errors that mean that workers are gone, and not that the work is wrong."""
 
@@ -24,14 +29,16 @@ def executor(workers: int, scheduler: str | None, *, patience_s: float) -> Abstr
     workers
         Own processes.
     scheduler
-        ``dask://ADDRESS``, or None.
+        Address of a Dask scheduler as it prints it, ``tcp://HOST:PORT`` or ``tls://HOST:PORT`` (``dask://`` stands
+        for ``tcp://``), or None. Certificates for the latter are those of Dask's own configuration.
     patience_s
         How long a scheduler may take to answer [s].
 
     Raises
     ------
     InputError
-        If the scheduler's name cannot be read, Dask is not installed, or its workers have another version.
+        If the scheduler's address cannot be read, Dask is not installed, certificates are missing, or its workers have
+        another version.
     ConnectionError
         If no scheduler answers.
     """
@@ -41,9 +48,13 @@ def executor(workers: int, scheduler: str | None, *, patience_s: float) -> Abstr
 @contextmanager
 def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
     """Workers of a Dask scheduler."""
-    kind, sign, address = scheduler.partition("://")
-    if kind != "dask" or not sign or not address:
-        raise InputError(f"scheduler must be dask://ADDRESS, got {scheduler}: use for example dask://node1:8786")
+    kind, _, place = scheduler.partition("://")
+    if kind not in SCHEMES or not place:
+        raise InputError(
+            f"scheduler must be the address that Dask prints, tcp://HOST:PORT or tls://HOST:PORT, got {scheduler}: use "
+            "for example tcp://node1:8786"
+        )
+    address = f"{SCHEMES[kind]}://{place}"
     try:
         from distributed import Client
         from distributed.comm.core import CommClosedError
@@ -51,9 +62,11 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
         raise InputError(
             "scheduler must have dask.distributed, got none installed: pip install 'tissue-sim[cluster]'"
         ) from None
+    if SCHEMES[kind] == "tls":
+        _require_certificates(scheduler)
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # losses are reported by who hands out the work
     try:
-        client = Client(f"tcp://{address}", timeout=f"{patience_s:g}s", set_as_default=False)
+        client = Client(address, timeout=f"{patience_s:g}s", set_as_default=False)
     except OSError as error:
         raise ConnectionError(f"no Dask scheduler answers at {address}") from error
     with client:
@@ -69,3 +82,19 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
             yield client.get_executor(pure=False)
         except (asyncio.CancelledError, CommClosedError) as error:  # not of the kinds that executors raise
             raise ConnectionError(f"the Dask scheduler at {address} was lost") from error
+
+
+def _require_certificates(scheduler: str) -> None:
+    """Refuse an address with TLS where Dask's configuration names no files for it, or files that are not there."""
+    import dask.config
+
+    for entry in CERTIFICATES:
+        name = f"distributed.comm.tls.{entry}"
+        file = dask.config.get(name, None)
+        if file is None or not Path(file).is_file():
+            variable = "DASK_" + name.upper().replace(".", "__").replace("-", "_")
+            got = "none" if file is None else f"{file}, which is no file"
+            raise InputError(
+                f"{variable} must name a file of certificates for the scheduler {scheduler}, got {got}: set it, or "
+                f"{name} in Dask's configuration"
+            )

@@ -130,7 +130,7 @@ def band_of(
     workers
         Processes that run samples beside each other, where each is a run of its own.
     scheduler
-        ``dask://ADDRESS`` of a Dask scheduler instead of own processes.
+        Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own processes.
     each_run
         Whether every sample is run where reweighing would do, for what is not linear: temperature and stress.
     compute, cores, progress

@@ -218,9 +218,11 @@ def test_a_number_of_workers_out_of_range_is_refused(tmp_path, workers):
         run_study(SMALL, tmp_path / "study", workers=workers)
 
 
-@pytest.mark.parametrize("address", ["node:8786", "ssh://node", "dask://"])
+@pytest.mark.parametrize("address", ["node:8786", "ssh://node", "tcp://", "dask://"])
 def test_a_scheduler_has_an_address(tmp_path, address):
-    with pytest.raises(InputError, match="scheduler must be dask://ADDRESS"):
+    with pytest.raises(
+        InputError, match="scheduler must be the address that Dask prints, tcp://HOST:PORT or tls://HOST:PORT, got "
+    ):
         run_study(SMALL, tmp_path / "study", scheduler=address)
 
 

@@ -134,3 +134,22 @@ def test_a_person_of_another_exponent_is_wrong_by_the_spread_of_the_force_and_ri
     held = np.repeat(size, 100)[:, None] * [0.0, 0.0, 1.0]
     mapped = np.repeat(size ** (beta / other.beta), 100)[:, None] * [0.0, 0.0, 1.0]
     assert intensity_ratios(mapped, held, held, other)["ratio_error"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_errors_of_ratios_stand_between_a_perfect_force_and_one_that_never_changes():
+    ideal, beta = forces(), reference_observer().beta
+    other, silent = person(beta + 0.3), np.full_like(ideal, 0.2)
+    size = np.log([part.mean() for part in np.array_split(ideal[:, 2], 30)])
+    found = intensity_ratios(silent, ideal, ideal, other)
+    assert found["ratio_error"] == pytest.approx(found["ratio_silent"]) == pytest.approx(beta * size.std())
+    assert found["ratio_unscaled"] == pytest.approx(0.3 * size.std())
+    assert intensity_ratios(ideal, ideal, ideal, other)["ratio_error"] == pytest.approx(found["ratio_unscaled"])
+
+
+def test_windows_that_are_half_in_contact_take_no_part_in_ratios():
+    """A force at the skin that is wrong in free motion alone, as friction is, has perfect ratios."""
+    ideal = forces()
+    ideal[:1050] = ideal[2950:] = 0.0
+    skin = ideal + np.where((ideal == 0.0).all(axis=1), 0.2, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    found = intensity_ratios(skin, ideal, ideal, person(reference_observer().beta))
+    assert found["ratio_error"] == pytest.approx(0.0, abs=1e-12)

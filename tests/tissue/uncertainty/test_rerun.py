@@ -137,8 +137,7 @@ def test_a_band_by_a_dask_scheduler_is_that_of_this_machine(pushed):
     distributed = pytest.importorskip("distributed")
     alone = band_of(pushed, 16, cores=1)
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        address = cluster.scheduler_address.removeprefix("tcp://")
-        band = band_of(pushed, 16, scheduler=f"dask://{address}")
+        band = band_of(pushed, 16, scheduler=cluster.scheduler_address)
     assert np.array_equal(band.figures, alone.figures, equal_nan=True)
     assert np.array_equal(band.quantiles, alone.quantiles)
     assert band.summary == alone.summary

@@ -22,6 +22,13 @@ from tissue.evaluation.study.tasks import TASKS
 
 __all__ = ["force_section", "latency_section", "task_section"]
 
+RATIOS = {
+    "ratio_error": "error of ratios / %",
+    "ratio_floor": "least error of ratios / %",
+    "ratio_unscaled": "by the exponent alone / %",
+    "ratio_silent": "without any change / %",
+}
+"""Columns on ratios of intensity; folders of older studies have the first two."""
 Parts = dict[tuple[str, str], TrialTable]
 
 
@@ -36,7 +43,7 @@ def force_section(table: TrialTable) -> Section:
     rows = []
     for (task, method), part in _parts(table).items():
         error = 100.0 * part.values("force_error")
-        felt = [spread(100.0 * part.values(each), 1) for each in ("ratio_error", "ratio_floor")]
+        felt = [spread(100.0 * part.values(each), 1) for each in RATIOS if each in part.metrics]
         shares = (spread(100.0 * part.values(each)) for each in ("least_error", "excess_error"))
         paper = against(error, FORCE_ERROR[task].get(method))
         rows.append((task, method, spread(error), *paper, *shares, *felt, str(len(part))))
@@ -49,14 +56,15 @@ def force_section(table: TrialTable) -> Section:
         "The force is taken before it is scaled for a person, in newtons.",
         "What scaling does is shown by ratios of intensity, in windows of a tenth of a second: the spread of the "
         "logarithm of what this person feels of the force at the skin over what the reference feels of the ideal one, "
-        "beside that of a perfect force through the same encoder steps. That a calibration brings a person to the "
+        "beside that of a perfect force through the same encoder steps, that of the ideal force by this person's "
+        "exponent alone, and that of a force that never changes. That a calibration brings a person to the "
         "reference's exponent is a recovery of the parameters by which these people were made, no finding on people.",
         f"Agreeing with the paper: {agreeing or 'none'}; not agreeing: {apart or 'none'}.",
         *_ratios(table),
     )
     header = (
         "task", "method", "force error / %", "paper %", "against paper", "least error %", "excess %",
-        "error of ratios / %", "least error of ratios / %", "trials",
+        *(name for each, name in RATIOS.items() if each in table.metrics), "trials",
     )  # fmt: skip
     return Section("force", "Force fidelity", sentences, header, tuple(rows), _force_picture(table))
 

@@ -116,25 +116,37 @@ def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
 
 
 def intensity_ratios(skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer) -> dict[str, float]:
-    """How far ratios of intensity are off, and by how much those of a perfect force through the same encoder steps are.
+    """How far ratios of intensity are off, and what a perfect force, an unscaled one and a constant one would score.
 
-    Over windows of a tenth of a second in contact, the spread of ln S(F) - ln S_ref(F_ideal), S being Stevens' law: 0.1
-    are ratios that are off by a tenth, and 0 is perfect. A common factor, which a person's numbers cannot be separated
-    from, takes no part. The exponents are those that the simulated people were made with.
+    Over windows of a tenth of a second that lie in contact whole, the spread of ln S(F) - ln S_ref(F_ideal), S being
+    Stevens' law: 0.1 are ratios that are off by a tenth, and 0 is perfect. A common factor, which a person's numbers
+    cannot be separated from, takes no part. The exponents are those that the simulated people were made with.
+
+    Returns
+    -------
+    dict
+        ``ratio_error`` of the force at the skin; ``ratio_floor`` of a perfect force through the same encoder steps, as
+        the reference feels it; ``ratio_unscaled`` of the ideal force as this person feels it, by their exponent alone;
+        ``ratio_silent`` where nothing changes at the skin.
     """
     count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
-    means = (
-        np.array([part.mean(axis=0) for part in np.array_split(each, count)]) for each in (skin_N, nearest_N, ideal_N)
-    )
-    skin, nearest, ideal = (np.linalg.norm(each, axis=1) for each in means)
-    met = ideal > TOUCHES * ideal.max()
+    sizes = np.linalg.norm(ideal_N, axis=1)
+    met = np.array([part.min() for part in np.array_split(sizes, count)]) > TOUCHES * sizes.max()
     if met.sum() < 2:
-        raise InputError("tool must touch for two tenths of a second in a trial, got less: look at the scene's path")
+        raise InputError("tool must touch for some tenths of a second in a trial, got less: look at the scene's path")
+
+    def logarithm(force_N: Array) -> Array:
+        """Logarithm of the size of the mean force in each window in contact."""
+        means = np.array([part.mean(axis=0) for part in np.array_split(force_N, count)])
+        return np.asarray(np.log(np.maximum(np.linalg.norm(means[met], axis=1), LEAST_N)))
+
+    felt, least, meant = map(logarithm, (skin_N, nearest_N, ideal_N))
     beta = reference_observer().beta
-    felt, least, meant = (np.log(np.maximum(each[met], LEAST_N)) for each in (skin, nearest, ideal))
     return {
         "ratio_error": float(np.std(person.beta * felt - beta * meant)),
         "ratio_floor": float(np.std(beta * (least - meant))),
+        "ratio_unscaled": float(np.std((person.beta - beta) * meant)),
+        "ratio_silent": float(np.std(beta * meant)),
     }
 
 

@@ -52,7 +52,7 @@ def run_study(
     workers
         Processes; default one a core. A scheduler has its own; the number is then how many trials it is given.
     scheduler
-        ``dask://ADDRESS`` of a Dask scheduler instead of own processes.
+        Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, instead of own processes.
     retry
         Run trials that failed again.
     report

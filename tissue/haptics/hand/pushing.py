@@ -147,25 +147,22 @@ class PushingHand:
 
     def at(self, time_s: float) -> tuple[Triple, Triple]:
         """Position [m] and velocity [m/s] of the aim."""
-        x, y, z = (start + self.aim_m * part for start, part in zip(self._start, self._line, strict=True))
-        u, v, w = (self._speed * part for part in self._line)
-        return (x, y, z), (u, v, w)
+        (x, y, z), (i, j, k), aim, speed = self._start, self._line, self.aim_m, self._speed
+        return (x + aim * i, y + aim * j, z + aim * k), (speed * i, speed * j, speed * k)
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
         """What the hand does from now on, the device being at ``position_m`` [m]."""
-        before, line = self.advance_m, self._line
-        self.advance_m = sum(
-            (here - start) * part for here, start, part in zip(position_m, self._start, line, strict=True)
-        )
+        before, (i, j, k), (x, y, z) = self.advance_m, self._line, self._start
+        self.advance_m = (position_m[0] - x) * i + (position_m[1] - y) * j + (position_m[2] - z) * k
         self._past.append(self.advance_m)
         self._past.popleft()
         self.aim_m += self._step * self._speed
         self._lead(time_s)
         action = self._hand.act(time_s, position_m)
-        grip, along = action.grip, lambda vector: sum(a * b for a, b in zip(vector, line, strict=True))
-        off = along(action.aim_m) - along(self._start) - self.advance_m
-        slips = along(action.aim_velocity_m_s) - (self.advance_m - before) / self._step
-        self.felt_N = grip.stiffness_N_m * off + grip.damping_N_s_m * slips + along(action.push_N)
+        grip, (a, b, c), (u, v, w), (f, g, h) = action.grip, action.aim_m, action.aim_velocity_m_s, action.push_N
+        off = (a * i + b * j + c * k) - (x * i + y * j + z * k) - self.advance_m
+        slips = (u * i + v * j + w * k) - (self.advance_m - before) / self._step
+        self.felt_N = grip.stiffness_N_m * off + grip.damping_N_s_m * slips + (f * i + g * j + h * k)
         if self._felt is not None and self._felt.feel(self.felt_N):
             self.see(time_s)
         return action

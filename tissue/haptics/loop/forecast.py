@@ -1,5 +1,6 @@
 """A predictor near a contact at rest, as the linear map that the judge of stability puts into its loop."""
 
+import pickle
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,6 +10,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.kept import Kept
 from tissue.prediction.contact import Contact, SeesContact
 
 if TYPE_CHECKING:
@@ -66,6 +68,10 @@ class Forecast:
         return ages if self.taps[:, :, :2].any() else 0, ages
 
 
+_forecasts: Kept["Forecast"] = Kept(64)
+"""Those of a study's methods in some tens of trials."""
+
+
 def forecast_of(
     predictor: "Predictor",
     *,
@@ -77,6 +83,9 @@ def forecast_of(
     gain: float = 1.0,
 ) -> Forecast:
     """Linearise a predictor about a contact at rest, by small changes of what it is shown.
+
+    What was found for a predictor with the same contents is kept: a scene is judged again and again, by its stiffness,
+    for its run and for its reference.
 
     Parameters
     ----------
@@ -99,6 +108,30 @@ def forecast_of(
         If a change is not forgotten: the predictor is no stable filter there.
     """
     out = np.array([0.0, 0.0, 1.0]) if axis is None else np.asarray(axis, dtype=np.float64)
+    try:
+        contents = pickle.dumps(predictor)
+    except (
+        TypeError,
+        AttributeError,
+        pickle.PicklingError,
+    ):  # one of a user's own that cannot be compared with another
+        return _linearised(predictor, lead_ticks, stiffness_N_m, model_ticks, depth_m, out, gain)
+    key = contents, lead_ticks, stiffness_N_m, model_ticks, depth_m, out.tobytes(), gain
+    return _forecasts.of(
+        key, lambda: _linearised(predictor, lead_ticks, stiffness_N_m, model_ticks, depth_m, out, gain)
+    )
+
+
+def _linearised(
+    predictor: "Predictor",
+    lead_ticks: float,
+    stiffness_N_m: float,
+    model_ticks: int,
+    depth_m: float,
+    out: Array,
+    gain: float,
+) -> Forecast:
+    """The same, found anew."""
     still, rest, force = -depth_m * out, np.zeros(3), stiffness_N_m * depth_m * out
     settled = deepcopy(predictor)
     contact = None
@@ -106,7 +139,8 @@ def forecast_of(
         contact = Contact(stiffness_N_m, rest, force, RIGID * stiffness_N_m * np.outer(out, out), normal=out)
     ticks = -(-SETTLING // model_ticks) * model_ticks
     for tick in range(ticks):
-        _show(settled, contact)
+        if contact is not None:
+            settled.meet(contact)  # type: ignore[attr-defined]
         settled.observe(still, rest, force if tick % model_ticks == 0 else None)
         settled.predict(lead_ticks)
     taps = np.zeros((model_ticks, LONGEST + 1, 3))
@@ -118,13 +152,6 @@ def forecast_of(
             changed = _answers(deepcopy(settled), contact, seen, change, channel, phase, lead_ticks, model_ticks, out)
             taps[phase, :, channel] = (changed - quiet)[phase : phase + LONGEST + 1] / PROBES[channel]
     return Forecast(taps=_faded(taps), gain=gain, stiffness_N_m=None if contact is None else stiffness_N_m)
-
-
-def _show(predictor: "Predictor", contact: Contact | None) -> None:
-    """Show a predictor that looks at it a tool at rest on what does not yield."""
-    if contact is not None:
-        assert isinstance(predictor, SeesContact)
-        predictor.meet(contact)
 
 
 def _answers(
@@ -142,7 +169,8 @@ def _answers(
     forces = np.zeros(LONGEST + 1 + model_ticks)
     for tick in range(len(forces)):
         shown = [array + change if tick == at and index == channel else array for index, array in enumerate(seen)]
-        _show(predictor, contact)
+        if contact is not None:
+            predictor.meet(contact)  # type: ignore[attr-defined]
         predictor.observe(shown[0], shown[1], shown[2] if tick % model_ticks == 0 else None)
         forces[tick] = float(predictor.predict(lead_ticks) @ out)
     return forces

@@ -79,6 +79,8 @@ class Carver:
         The cutter's distance table on the device.
     removed_steps
         Stored steps removed so far, by layer, shape (layers,).
+    changes
+        How often the bone was visited, or restored: as long as it stays, the bone is the same.
     """
 
     def __init__(
@@ -88,6 +90,7 @@ class Carver:
         layers, spacing = len(grid.layer_names), grid.spacing_m
         self.store = store
         self.removed_steps = np.zeros(layers, dtype=np.int64)
+        self.changes = 0
         self._binary = int(removal == "binary")
         self._origin, self._spacing = grid.origin_m, spacing
         table = cutter.table(spacing_m=spacing)
@@ -193,6 +196,7 @@ class Carver:
 
     def restore(self, state: CarverState) -> None:
         """Return to a copied state; the booked removal stays."""
+        self.changes += 1
         wp.copy(self.store.remaining, state.remaining)
         wp.copy(self.store.swept, state.swept)
         wp.copy(self.store.older, state.older)
@@ -203,6 +207,7 @@ class Carver:
 
     def _visit(self, groups: int, *, every_side: bool = False, turned: bool = False) -> None:
         """Carve ``groups`` groups of bricks at the current pose and book what they lost."""
+        self.changes += 1
         first = self._next_group
         plan = self._plan.host
         plan[FIRST] = first

@@ -79,11 +79,12 @@ class BoneModel:
         self._coefficients = _on_device(coefficients, device=device)
         self._scratch = wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device)
         self._device, self._cores = device, cores
+        self._answered: tuple[bytes, int] | None = None  # motion, and state of the bone, that the sums are for
         self._record()
 
     def _record(self) -> None:
         """Record the launch of the forces on the store's arrays as they are now."""
-        store = self.store
+        store, self._answered = self.store, None
         self._forces = SplitLaunch(
             cutting_forces,
             dim=len(self._sums.host),
@@ -144,6 +145,7 @@ class BoneModel:
 
     def place(self, motion: ToolMotion) -> None:
         """Carve all that lies inside the tool at its first pose."""
+        self._answered = None
         self.carver.place(motion)
 
     def advance(self, motion: ToolMotion) -> None:
@@ -162,8 +164,11 @@ class BoneModel:
     def respond(self, motion: ToolMotion) -> Response:
         """Cutting force at the motion's pose, as a part that grows with speed and a part that does not."""
         self.take(motion)
-        self._forces()
-        self._sums.pull()
+        asked = self._motion.host.tobytes(), self.carver.changes
+        if asked != self._answered:  # a tool that rests meets what it met
+            self._answered = asked
+            self._forces()
+            self._sums.pull()
         sums = np.add.reduce(self._sums.host, axis=0)
         np.dot(sums[:RATE].reshape(4, 3), motion.rotation.T, out=self._parts)
         response, speed = self._response, motion.speed_m_s

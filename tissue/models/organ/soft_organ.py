@@ -9,6 +9,7 @@ from scipy.sparse import bsr_array
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
+from meshes.base.kept import Kept
 from meshes.base.progress import Progress, silent
 from meshes.tets.regions import faces_of
 from meshes.tets.tetrahedra import TetMesh
@@ -29,6 +30,11 @@ from tissue.models.organ.probe import ProbeShape, SphereProbe
 from tissue.models.tissue_model import TICK_S
 
 __all__ = ["Membrane", "SoftOrgan"]
+
+
+_spaces: Kept[Space] = Kept(2)
+_patches: Kept[tuple[Ints, Ints]] = Kept(2)
+"""By mesh and order, and by the tool and its path: a study presses the same mesh in every trial."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +94,7 @@ class SoftOrgan:
         law: OrganLaw | None = None,
         device: str = "cpu",
     ) -> None:
-        self.space = Space(mesh, order, device=device)
+        self.space = _spaces.of((mesh, order, device), lambda: Space(mesh, order, device=device))
         self.elasticity, self.held, self.prony, self.friction = elasticity, held, prony, friction
         self._capsule, self._density, self._law = capsule, density_kg_m3, law
         if law is not None and not (capsule is None and density_kg_m3 is None and prony is None):
@@ -158,7 +164,8 @@ class SoftOrgan:
         InputError
             If the tool touches nothing, or only what is held.
         """
-        touchable, faces = touchable_patch(self.space, probe, tips_m, rotations)
+        key = self.space, probe, tips_m.tobytes(), rotations.tobytes()
+        touchable, faces = _patches.of(key, lambda: touchable_patch(self.space, probe, tips_m, rotations))
         if self.body.fixed[touchable].all():
             raise InputError(
                 "motion must bring the tool to tissue that can move, got a tool that touches only what is held: move "

@@ -19,8 +19,6 @@ FRAME_S, REST_S = 1.0 / 30.0, 0.004
 """Time between two frames, and how long there is at least for what the page sends [s]."""
 LEFT_S = 8.0
 """How long a page may be closed before what it shows ends [s]: time enough to load it again."""
-HEARTBEAT_S = 5.0
-"""Time in which a page that does not answer is taken as closed [s]."""
 CLOSES_S = 2.0
 """How long a page is waited for that is closed from here [s]."""
 REPLACED = 4001
@@ -132,7 +130,8 @@ class PageServer:
         return web.Response(text=text, content_type="text/html", headers={"Content-Security-Policy": policy})
 
     async def _connect(self, request: web.Request) -> web.WebSocketResponse:
-        socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, timeout=CLOSES_S, max_msg_size=LARGEST)
+        # No heartbeat: on one machine the system reports a page that is gone, and a picture may take seconds to draw.
+        socket = web.WebSocketResponse(timeout=CLOSES_S, max_msg_size=LARGEST)
         await socket.prepare(request)
         before, self._socket = self._socket, socket
         self._drawing = self._opened = True

@@ -1,0 +1,39 @@
+"""Results that are kept for as long as they are asked for, by all that they depend on."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+__all__ = ["Kept"]
+
+Result = TypeVar("Result")
+
+
+class Kept(Generic[Result]):
+    """The results that were asked for last: trials of a study build the same meshes, voxels and tables again and again.
+
+    Parameters
+    ----------
+    most
+        How many are kept; the one that was asked for longest ago goes first, so that memory does not grow.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._results: OrderedDict[Hashable, Result] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._results)
+
+    def of(self, key: Hashable, make: Callable[[], Result]) -> Result:
+        """The result of a key, made where it is not kept.
+
+        It is shared by all who ask, who must not change it.
+        """
+        found = self._results.pop(key, None)
+        if found is None:
+            found = make()
+        self._results[key] = found
+        while len(self._results) > self._most:
+            self._results.popitem(last=False)
+        return found

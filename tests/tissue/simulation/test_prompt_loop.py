@@ -1,0 +1,86 @@
+"""The loop of which nothing is played gives the raw force of a whole run bit for bit, and what is kept changes nothing."""
+
+import numpy as np
+import pytest
+
+from meshes.base.kept import Kept
+from tissue import load_scene, simulate
+from tissue.builders import organ_scene, voxels
+from tissue.cutters import cutter
+from tissue.evaluation.study.tasks import TASKS
+from tissue.haptics.device.device import Sample
+from tissue.haptics.device.recorded import RecordedDevice
+from tissue.haptics.loop import forecast
+from tissue.models.bone.model import BoneModel
+from tissue.models.organ import soft_organ
+from tissue.scene.load import changed
+from tissue.simulation import reference_force
+from tissue.simulation.reference_force import ideal_force_N, ideal_scene
+
+KEPT = (
+    (cutter, "_tables"), (cutter, "_shells"), (voxels, "_volumes"), (organ_scene, "_meshes"), (soft_organ, "_spaces"),
+    (soft_organ, "_patches"), (forecast, "_forecasts"),
+)  # fmt: skip
+"""What runs of a process share."""
+SECONDS = {"T2": 1.5, "T1": 0.6, "T3": 0.6, "needle": 1.0, "drilling": 0.5, "reaming": 0.5}
+
+
+def by_hand(task):
+    """A task's scene in a hand, cut short, with a predictor whose force the hand feels."""
+    entries = {"device": "touch", "hand": "expert", "prediction": "koopman", "coupling.stiffness_N_m": 150.0}
+    return changed(load_scene(TASKS[task].scene), {**TASKS[task].changes, **entries, "duration_s": SECONDS[task]})
+
+
+class Pausing(RecordedDevice):
+    """A record with a gap, in which there is no sample."""
+
+    def read(self, time_s: float) -> Sample | None:
+        return None if 0.3 < time_s < 0.35 else super().read(time_s)
+
+
+@pytest.mark.parametrize(
+    "task", [pytest.param(task, marks=() if task == "T2" else pytest.mark.slow) for task in SECONDS]
+)
+@pytest.mark.parametrize("device", [RecordedDevice, Pausing])
+def test_the_raw_force_is_that_of_a_whole_run(monkeypatch, task, device):
+    run = simulate(by_hand(task), cores=1, allow_unstable=True)
+    given = []
+
+    def recorded(*parts, **named):
+        given.append(device(*parts, **named))
+        return given[-1]
+
+    monkeypatch.setattr(reference_force, "RecordedDevice", recorded)
+    ideal = ideal_force_N(run, cores=1)
+    scene = ideal_scene(run.scene).model_copy(update={"duration_s": 1e-3 * len(run.trace.rows)})
+    whole = simulate(scene, cores=1, allow_unstable=True, device=given[0]).trace.vectors("raw_force", "N")
+    assert ideal.tobytes() == whole.tobytes()
+    assert np.abs(ideal).max() > 1e-3, "it touched nothing"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["T1", "T3", "drilling"])
+def test_what_runs_share_changes_no_bit(monkeypatch, task):
+    """The second run of a process, which is given what the first has made, against one that makes all anew."""
+    scene = by_hand(task)
+    simulate(scene, cores=1, allow_unstable=True)
+    shared = simulate(scene, cores=1, allow_unstable=True).trace.rows
+    for module, name in KEPT:
+        monkeypatch.setattr(module, name, Kept(0))
+    assert shared.tobytes() == simulate(scene, cores=1, allow_unstable=True).trace.rows.tobytes()
+
+
+@pytest.mark.slow
+def test_a_tool_that_rests_meets_what_it_met(monkeypatch):
+    """The force of a tick whose pose, heading and bone are those of the last is not computed again: the same bits."""
+    scene, before = by_hand("drilling"), BoneModel.respond
+    asked, run = [], simulate(by_hand("drilling"), cores=1, allow_unstable=True).trace.rows
+
+    def anew(self, motion):
+        asked.append(self._answered == (self._motion.host.tobytes(), self.carver.changes))
+        self._answered = None
+        return before(self, motion)
+
+    monkeypatch.setattr(BoneModel, "respond", anew)
+    assert run.tobytes() == simulate(scene, cores=1, allow_unstable=True).trace.rows.tobytes()
+    assert len(asked) > 500
