@@ -173,7 +173,7 @@ class RunData:
         out
             Folder to write.
         formats
-            Further formats of the trace: parquet, npz, mat, h5.
+            Further formats: parquet, npz, mat or h5 of the trace; recording, the run in volumetric_drilling's layout.
         pictures
             Whether the folder holds pictures, or their format, png, svg or pdf; of one that was read back those it has.
         overwrite

@@ -16,11 +16,12 @@ from tissue.cutters.cutter import Cutter
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.picture_format import picture_format
+from tissue.simulation.recording import write_formats
 from tissue.simulation.run_folder import OWN_FILES, RunFolder, SavedRun, saved_placement
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.saved_fields import SavedFields, field_names
 from tissue.simulation.trace import Table
-from tissue.simulation.trace_files import check_format, read_table, write_trace
+from tissue.simulation.trace_files import check_format, read_table
 
 if TYPE_CHECKING:
     import pyvista
@@ -157,8 +158,7 @@ class SavedFolder:
             out.mkdir(parents=True, exist_ok=True)
             for name in OWN_FILES:
                 _copy(self.path / name, out / name, wanted=drawn is not None or name != "pictures")
-        for kind in formats:
-            write_trace(self.trace, out, kind)
+        write_formats(self, out, formats)
         return out
 
     @cached_property

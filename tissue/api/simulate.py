@@ -18,6 +18,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import require_used
 from tissue.simulation import simulate as engine
 from tissue.simulation.live.paced import Paced
+from tissue.simulation.live.prioritised import Prioritised
 
 __all__ = ["TickRow", "simulate"]
 
@@ -130,9 +131,9 @@ def simulate(
         if opened is not None:
             chosen["device"] = f"{scene.device} is read and played by {type(opened).__name__}"
         held = opened if device is None else device
-        observer = observer if on_tick is None else Calls(on_tick)
+        observer, raised = observer if on_tick is None else Calls(on_tick), None
         if getattr(held.device if isinstance(held, SafeDevice) else held, "real_time", False):
-            observer = Paced(observer)
+            observer = raised = Prioritised(Paced(observer))
         run = engine.simulate(
             scene,
             compute=compute,
@@ -144,6 +145,8 @@ def simulate(
             device=held,
             observer=observer,
         )
+    if raised is not None:
+        chosen["priority"] = raised.note
     run.parts.notes |= chosen
     run.draw = draw_pictures
     return Run(run)

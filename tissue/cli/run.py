@@ -43,6 +43,7 @@ def run(
     slicer: Annotated[bool, Parameter(negative="")] = False,
     slicer_port: Annotated[int | None, Parameter(converter=whole)] = None,
     slicer_drives: Annotated[bool, Parameter(negative="")] = False,
+    ros2: Annotated[bool, Parameter(negative="")] = False,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -67,7 +68,8 @@ def run(
     cores
         Processor cores to use; default all. The trace does not depend on it.
     format_
-        Further formats of the trace beside CSV: parquet, npz, mat, h5; may be repeated.
+        Further formats beside CSV: parquet, npz, mat, h5 of the trace, or recording, HDF5 in volumetric_drilling's
+        layout; may be repeated.
     pictures
         Format of the pictures: png, svg or pdf. In svg and pdf lines and text stay such, and what is shown in 3D is an
         image of 400 pixels an inch.
@@ -91,6 +93,8 @@ def run(
         With --slicer: port to publish at; default 18944.
     slicer_drives
         With --slicer: the transform tissue-target of 3D Slicer moves the tool, and no window opens.
+    ros2
+        With --live: publish pose, velocity and force on topics of ROS 2, /tissue/measured_cp and so on.
     overwrite
         Replace the run that the folder already holds.
     allow_unstable
@@ -105,6 +109,7 @@ def run(
     picture_format(pictures)
     overrides = _overrides(set_, fidelity, duration_s=duration_s)
     _refuse_web(web, live=live)
+    left_out("without --live", "give --live", ros2=ros2 and not live)
     link = _slicer_link(slicer, slicer_port, slicer_drives, live=live)
     by_hand = web or slicer_drives
     loaded = _load(scene, overrides, live=live, by_hand=by_hand)
@@ -126,7 +131,7 @@ def run(
         "compute": compute, "cores": cores, "out": folder, "overwrite": overwrite, "allow_unstable": allow_unstable,
     }  # fmt: skip
     with _naming_stop(folder):
-        finished = _simulated(loaded, settings, live=live, web=web, link=link, duration_s=duration_s)
+        finished = _simulated(loaded, settings, live=live, web=web, link=link, ros2=ros2, duration_s=duration_s)
         simulated = perf_counter()
         with progress() as report:
             finished.save(folder, formats=format_, pictures=False if no_pictures else pictures, progress=report)
@@ -200,6 +205,7 @@ def _simulated(
     live: bool,
     web: bool,
     link: "SlicerLink | None",
+    ros2: bool,
     duration_s: float | None,
 ) -> "Run":
     """The finished run, with its settings chosen where a fidelity is asked for."""
@@ -222,7 +228,7 @@ def _simulated(
             scene, chosen["fidelity"] = with_fidelity(scene, report=report)
         console.print(f"live: {moved_by(scene, web=web, slicer=link is not None and link.drives)[1]}; Ctrl-C ends it")
         opened = (lambda address: console.print(f"open {address}")) if web else None
-        finished = simulate_live(scene, duration_s=duration_s, opened=opened, slicer=link, **settings)
+        finished = simulate_live(scene, duration_s=duration_s, opened=opened, slicer=link, ros2=ros2, **settings)
     finished.parts.notes |= chosen
     finished.draw = draw_pictures
     return Run(finished)

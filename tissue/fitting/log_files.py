@@ -11,13 +11,12 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, is_file
 from tissue.fitting.columns import ColumnMap, Quantity
 from tissue.fitting.log_text import read_text
+from tissue.motion.drilling_recording import read_drilling
 
 __all__ = ["LogColumns", "read_columns"]
 
-DRILLING = "physics_data"
-"""First group of a recording of volumetric_drilling (LCSR-SICKKIDS/volumetric_drilling, its note on data)."""
-POSES = "continuous_data/high_frequency_poses/drill_pose"
-WRENCH = "intermittent_data/drill_force_feedback"
+DRILLING = ("physics_data", "high_frequency_poses")
+"""Groups by which a recording of volumetric_drilling is known."""
 POSE_NAMES = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 LOAD_NAMES = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
 
@@ -137,8 +136,8 @@ def _mat(path: Path) -> LogColumns:
 def _h5(path: Path) -> LogColumns:
     h5py = _module("h5py", "h5")
     with h5py.File(path, "r") as file:
-        if DRILLING in file:
-            return _drilling(file[DRILLING])
+        if any(name in file for name in DRILLING):
+            return _drilling(path)
         found: dict[str, Any] = {}
         file.visititems(lambda name, each: found.update({name: each[()]}) if isinstance(each, h5py.Dataset) else None)
         return _held(found)
@@ -153,16 +152,22 @@ def _structs(path: Path) -> LogColumns:
     return LogColumns(tuple(places), lambda name: found.numbers(places[name]), found.notes)
 
 
-def _drilling(group: Any) -> LogColumns:
-    """Poses [m] and wrenches of a recording of volumetric_drilling, each on its own clock."""
-    pose, wrench = (np.asarray(group[name]) for name in (f"{POSES}/pose", f"{WRENCH}/wrench"))
-    columns = {"time_s": group[f"{POSES}/time_stamp"][()], "load_time_s": group[f"{WRENCH}/time_stamp"][()]}
-    scale = np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0, 1.0])
-    columns |= dict(zip(POSE_NAMES, (pose * scale).T, strict=True))
-    columns |= dict(zip(LOAD_NAMES, wrench.T, strict=True))
+def _drilling(path: Path) -> LogColumns:
+    """Poses and loads of a recording of volumetric_drilling, each at times of their own."""
+    held = read_drilling(path, what="measured")
+    columns = {"time_s": held.times_s}
+    columns |= dict(zip(POSE_NAMES, np.hstack([1e3 * held.tips_m, held.quaternions]).T, strict=True))
+    if held.load_times_s is not None and held.loads is not None and len(held.load_times_s):
+        first, last = held.load_times_s[[0, -1]].tolist()
+        if first > held.times_s[-1] or last < 0.0:
+            raise InputError(
+                f"measured must hold forces while the poses last, got forces from {first:.6g} to {last:.6g} s after "
+                f"the first pose and poses for {held.times_s[-1]:.6g} s in {path}: bring its time_stamps to one clock"
+            )
+        columns["load_time_s"] = held.load_times_s
+        columns |= dict(zip(LOAD_NAMES, held.loads.T, strict=False))  # torques may have been left out
     found = _held(columns)
-    note = "a recording of volumetric_drilling: poses in its world, torques as it has them"
-    return LogColumns(found.names, found.numbers, (note,))
+    return LogColumns(found.names, found.numbers, held.notes)
 
 
 def _module(name: str, extra: str) -> Any:

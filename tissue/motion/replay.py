@@ -1,4 +1,4 @@
-"""Recorded motion: a table of poses, replayed."""
+"""Recorded motion: a table of poses or a recording of volumetric_drilling, replayed."""
 
 import csv
 from math import isfinite
@@ -11,11 +11,14 @@ from scipy.spatial.transform import Rotation, Slerp
 from meshes.base.errors import InputError, is_file
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue.models.tissue_model import Response, ToolMotion
+from tissue.motion.drilling_recording import read_drilling
 from tissue.motion.motion import LONGEST_S, Motion
 
 __all__ = ["GivenPoses", "ReplayPoses", "read_replay"]
 
 Array = NDArray[np.float64]
+RECORDINGS = (".hdf5", ".h5")
+"""Ends of the names of recordings."""
 
 
 class GivenPoses(Motion):
@@ -90,7 +93,7 @@ class ReplayPoses(GivenPoses):
 
 
 def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
-    """Read a pose table: CSV with ``time_s`` and the tool's pose in the columns of ``trace.csv``.
+    """Read poses: a CSV with ``time_s`` and the tool's pose in the columns of ``trace.csv``, or a recording in HDF5.
 
     Raises
     ------
@@ -99,6 +102,10 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
     """
     if not is_file(path):
         raise InputError(f"motion.file must be an existing table, got {path}: give a CSV such as a run's trace.csv")
+    if path.suffix.lower() in RECORDINGS:
+        held = read_drilling(path, what="motion.file")
+        _require_short(float(held.times_s[-1]), path)
+        return ReplayPoses(held.times_s, held.tips_m, held.quaternions, step_s=step_s)
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
@@ -118,13 +125,16 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
         raise InputError(
             f"motion.file must have increasing time_s, got {after:g} after {before:g} in {path}: sort its rows"
         )
-    if poses[-1, 0] - poses[0, 0] > LONGEST_S:
-        raise InputError(
-            f"motion.file must last at most {LONGEST_S:g} s, got {poses[-1, 0] - poses[0, 0]:g} in {path}: cut it"
-        )
+    _require_short(poses[-1, 0] - poses[0, 0], path)
     if (np.linalg.norm(poses[:, 4:], axis=1) < 1e-6).any():
         raise InputError(f"motion.file must hold unit quaternions, got a zero one in {path}: use 0, 0, 0, 1 there")
     return ReplayPoses(poses[:, 0], poses[:, 1:4] * 1e-3, poses[:, 4:], step_s=step_s)
+
+
+def _require_short(lasts_s: float, path: Path) -> None:
+    """Refuse what lasts longer than a run may."""
+    if lasts_s > LONGEST_S:
+        raise InputError(f"motion.file must last at most {LONGEST_S:g} s, got {lasts_s:g} in {path}: cut it")
 
 
 def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:

@@ -130,9 +130,9 @@ class ThrustMotion(Motion):
 
 
 class ReplayMotion(Motion):
-    """Poses from a table with the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw."""
+    """Poses from a table with the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw; or from a recording."""
 
     kind: Literal["replay"] = "replay"
     """Recorded."""
     file: str = Field(examples=["runs/glenoid/trace.csv"])
-    """CSV table of poses, such as a run's own trace."""
+    """CSV table of poses, such as a run's own trace, or an HDF5 recording of volumetric_drilling."""

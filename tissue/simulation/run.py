@@ -200,7 +200,7 @@ class Run:
         out
             Folder to write.
         formats
-            Further formats of the trace: parquet, npz, mat, h5.
+            Further formats: parquet, npz, mat or h5 of the trace; recording, the run in volumetric_drilling's layout.
         pictures
             Whether to draw pictures, or their format, png, svg or pdf; where `draw` is given.
         overwrite
@@ -216,8 +216,9 @@ class Run:
         from tissue.simulation.bone_files import write_bone
         from tissue.simulation.carving_series import write_carving
         from tissue.simulation.picture_format import picture_format
+        from tissue.simulation.recording import write_formats
         from tissue.simulation.series import write_fields
-        from tissue.simulation.trace_files import check_format, write_trace
+        from tissue.simulation.trace_files import check_format
 
         report = progress or silent
         formats = tuple(formats)
@@ -236,8 +237,7 @@ class Run:
                 folder.open_tables(self.trace, self.timing)
                 folder.flush(len(self.trace.rows), force=True)
             folder.close_tables()
-            for kind in formats:
-                write_trace(self.trace, out, kind)
+            write_formats(self, out, formats)
             report("writing the bone", 0.0)
             write_bone(self, out)
             write_carving(self, out, report=report)

@@ -25,6 +25,7 @@ __all__ = ["FORMAT", "RunFolder", "SavedRun", "saved_placement"]
 OWN_FILES = (
     "trace.csv",
     *(f"trace.{kind}" for kind in FORMATS),
+    "recording.hdf5",
     "timing.csv",
     "scene.toml",
     "summary.json",

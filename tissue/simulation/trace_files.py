@@ -13,9 +13,13 @@ from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
 from tissue.simulation.trace import NO_LAYER, Table, TraceLayout
 
-__all__ = ["FORMATS", "check_format", "read_table", "read_trace", "write_table", "write_trace"]
+__all__ = ["FORMATS", "RECORDING", "check_format", "read_table", "read_trace", "write_table", "write_trace"]
 
 Columns = dict[str, NDArray[np.generic]]
+RECORDING = "recording"
+"""Format in which other programs read a run, see `tissue.simulation.recording`."""
+WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
+"""What writes a format, and the extra that installs it."""
 
 
 def check_format(kind: str) -> None:
@@ -26,12 +30,13 @@ def check_format(kind: str) -> None:
     InputError
         Names the known formats, or the extra to install.
     """
-    if kind not in FORMATS:
-        raise InputError(f"format must be one of {', '.join(FORMATS)}, got {kind}: csv is always written")
-    writer = {"parquet": "pyarrow", "h5": "h5py"}.get(kind)
-    if writer is not None and find_spec(writer) is None:
+    if kind not in (*FORMATS, RECORDING):
+        known = ", ".join((*FORMATS, RECORDING))
+        raise InputError(f"format must be one of {known}, got {kind}: csv is always written")
+    writer, extra = WRITERS.get(kind, ("", ""))
+    if writer and find_spec(writer) is None:
         raise InputError(
-            f"format {kind} must have its writer installed, got no {writer}: pip install 'tissue-sim[{kind}]'"
+            f"format {kind} must have its writer installed, got no {writer}: pip install 'tissue-sim[{extra}]'"
         )
 
 

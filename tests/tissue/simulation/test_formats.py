@@ -56,7 +56,7 @@ def test_a_format_reads_back_equal(trace, tmp_path, kind):
 
 
 def test_an_unknown_format_is_refused():
-    with pytest.raises(InputError, match="format must be one of parquet, npz, mat, h5, got xml"):
+    with pytest.raises(InputError, match="format must be one of parquet, npz, mat, h5, recording, got xml"):
         check_format("xml")
     for kind in FORMATS:
         check_format(kind)

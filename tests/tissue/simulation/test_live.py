@@ -345,3 +345,10 @@ def test_a_mouse_that_is_pushed_far_never_moves_faster_than_a_hand():
     mouse.push((0.3, 0.0, 0.0))
     speeds = [mouse.read(1e-3 * tick).velocity_m_s[0] for tick in range(300)]
     assert 3.0 < max(speeds) < 5.0  # 0.3 m / (e x 30 ms) = 3.7 m/s
+
+
+def test_a_live_run_states_the_priority_it_had(no_display):
+    run = run_live(load_scene("wall", {"duration_s": 0.05}))
+    assert run.parts.notes["priority"].startswith(
+        ("real-time priority", "niceness", "ordinary priority", "quality", "high")
+    )

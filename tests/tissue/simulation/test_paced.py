@@ -38,6 +38,7 @@ def test_no_tick_of_a_real_device_comes_before_it_is_due(held):
     assert ticks == list(range(len(run.trace.rows)))
     first = device.read_s[0][1]
     assert all(wall_s - first >= time_s - 2e-3 for time_s, wall_s in device.read_s)
+    assert any(words in run.summary["notes"]["priority"] for words in ("priority", "niceness", "quality of service"))
 
 
 class Skipping:

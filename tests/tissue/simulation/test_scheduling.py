@@ -8,7 +8,7 @@ from rich.console import Console
 
 from kernels.launcher import LaunchCounts
 from tissue import load_scene, simulate
-from tissue.cli import run as command
+from tissue.cli import run_table as command
 from tissue.models.tissue_model import FreeSpace
 from tissue.simulation import scheduling
 from tissue.simulation.scheduling import SPUN_S, SPUN_SHARE, Scheduling, spin_time_s
@@ -53,7 +53,7 @@ def test_the_table_shows_it_under_the_missed_deadlines(run, chosen, monkeypatch)
     text = io.StringIO()
     summary = run.summary | chosen.summary(ticks_s=2.0)
     monkeypatch.setattr(command, "console", Console(file=text, width=160))
-    command._print_summary(summary, Path("run"), wall_s=1.0, saving_s=1.0)
+    command.print_summary(summary, Path("run"), wall_s=1.0, saving_s=1.0)
     shown = [line for line in text.getvalue().splitlines() if "│" in line]
     assert any(
         "gaps of the machine over 0.2 ms" in line and "20.0 (5 in 0.5 s, longest 4 ms)" in line for line in shown

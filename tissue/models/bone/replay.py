@@ -3,9 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from kernels.bricks import FULL
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
-from tissue.models.bone.bricks import BrickStore
+from tissue.models.bone.bricks import BrickStore, voxels_of
 from tissue.models.bone.carver import Carver, Removal
 from tissue.models.tissue_model import ToolMotion
 
@@ -68,6 +69,39 @@ class CarvingReplay:
         self._carver.restore(before)
         self._changed = completed
         return self.fraction
+
+    def removals(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Indices of the voxels that fall below half during the run, shape (n, 3), and the tick of each, increasing.
+
+        Removal is fractional; a voxel that was below half before the first cut is none of them. A slow tool's bricks
+        take turns, so that a voxel may be up to 20 µm of the tool's path late.
+        """
+        self._carver.restore(self._start)
+        self._store.take_touched()
+        below = self._store.remaining.numpy()[: len(self._store.places)] <= FULL // 2
+        found, ticks = [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+
+        def take(tick: int) -> None:
+            rows, left = self._store.take_touched()
+            self._cut = np.union1d(self._cut, rows)
+            new = (left <= FULL // 2) & ~below[rows]
+            if new.any():
+                below[rows] |= new
+                places, _ = voxels_of(self._store.places, rows, new.astype(np.int64))
+                found.append(places)
+                ticks.append(np.full(len(places), tick))
+
+        tick = 0
+        for pose in self._poses:
+            if int(pose[0]) > tick:
+                take(tick)
+                tick = int(pose[0])
+            self._carve(pose)
+        self._carver.finish()
+        take(tick)
+        self._carver.restore(self._start)
+        self._changed, self._next = self._cut, 0
+        return np.concatenate(found), np.concatenate(ticks)
 
     def _carve(self, pose: NDArray[np.float64]) -> None:
         motion = self._motion

@@ -16,16 +16,17 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.builders.device import opened_device, opens_device
 from tissue.builders.parts import Parts
-from tissue.builders.registry import motion_of
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
 from tissue.simulation.live.clock import BEHIND_S, WallClock
 from tissue.simulation.live.page import Page, require_web
+from tissue.simulation.live.prioritised import Prioritised
+from tissue.simulation.live.reach import reach_m, start_m
+from tissue.simulation.live.ros2 import Ros2Observer, require_ros2
 from tissue.simulation.live.slicer import SlicerLink, SlicerObserver, require_link
 from tissue.simulation.live.window import WindowProcess
 from tissue.simulation.run import DEADLINE_US, Run
-from tissue.simulation.simulate import TICK_S, simulate
+from tissue.simulation.simulate import TICK_S, RunObserver, simulate
 from tissue.system.offscreen import await_display, display_problem
 
 __all__ = ["LiveObserver", "live", "moved_by"]
@@ -42,9 +43,6 @@ LOOK_TICKS = 200
 """Ticks between two looks whether the window's process is still there and draws."""
 STALLED_S, HELD_S = 3.0, 60.0
 """How long a window may draw nothing before the run waits for it, and how long it waits [s]."""
-ABOVE_M, BELOW_M = 0.02, 0.01
-"""How far the pointer may draw a tool back from the scripted path and press a probe beyond it [m]; a tool that cuts it
-presses as far as there is bone beyond what the script reaches."""
 
 
 def moved_by(scene: Scene, *, web: bool = False, slicer: bool = False) -> tuple[bool, str]:
@@ -74,14 +72,16 @@ def live(
     duration_s: float | None = None,
     opened: Callable[[str], object] | None = None,
     slicer: SlicerLink | None = None,
+    ros2: bool = False,
 ) -> Run:
     """Simulate a scene against the wall clock, in a window with the mouse as device or, without a display, scripted.
 
     A device that was registered with what opens the real one is held, without a window. Else the tool hangs on the
     mouse as on the scene's device, by the same spring, and the forces that the device would play are in the trace and
     shown; in a scene without a device a mouse acts as a touch. A tick has missed its deadline if it is not done within
-    1 ms of when it was due. See `WallClock` for what happens when the ticks fall behind. Ctrl-C or closing the window
-    ends the run, and what there is of it is a run like any other.
+    1 ms of when it was due. See `WallClock` for what happens when the ticks fall behind. The ticks have a raised
+    priority as far as the system grants one, which the note ``priority`` states. Ctrl-C or closing the window ends the
+    run, and what there is of it is a run like any other.
 
     Parameters
     ----------
@@ -98,18 +98,22 @@ def live(
     slicer
         Publish the run for 3D Slicer beside that, see `docs/guide/slicer.md`; where it also drives the tool, no window
         opens.
+    ros2
+        Publish the run on topics of ROS 2 beside that, see `docs/guide/ros2.md`.
 
     Raises
     ------
     InputError
-        As `tissue.simulate`; if a display does not answer, or a window does not open on it, in time; and if a page is
-        asked for with a real device, which only works without a window, or it cannot be drawn or served. If the port
-        for 3D Slicer is taken, or something else moves the tool.
+        As `tissue.simulate`; if a display does not answer, or a window does not open on it, in time; if a page is
+        asked for with a real device, which only works without a window, or it cannot be drawn or served; if the port
+        for 3D Slicer is taken, or something else moves the tool; and if ROS 2 is asked for and not installed.
     """
     page = None
     by_slicer = slicer is not None and slicer.drives
     if slicer is not None:
         require_link(slicer, scene, web=opened is not None)
+    if ros2:
+        require_ros2()
     if opened is None and not by_slicer:
         await_display()
     elif opened is not None:
@@ -130,12 +134,16 @@ def live(
         cores = cores or max((os.cpu_count() or 2) - 1, 1)
     try:
         while True:
-            mouse = MouseDevice(_start_m(scene)) if by_mouse else None
+            mouse = MouseDevice(start_m(scene)) if by_mouse else None
             observer = LiveObserver(scene, None if by_slicer else mouse, WallClock(TICK_S), page)
-            linked = None
+            prioritised = Prioritised(observer)
+            along: RunObserver = prioritised
+            linked = topics = None
             if slicer is not None:
                 moved = mouse if by_slicer else None
-                linked = SlicerObserver(scene, observer, slicer, box=partial(_box, scene), mouse=moved)
+                along = linked = SlicerObserver(scene, along, slicer, box=partial(reach_m, scene), mouse=moved)
+            if ros2:
+                along = topics = Ros2Observer(scene, along, box=partial(reach_m, scene))
             run = simulate(
                 scene,
                 compute=compute,
@@ -145,7 +153,7 @@ def live(
                 progress=progress,
                 allow_unstable=allow_unstable or by_mouse,
                 device=mouse if by_mouse else opened_device(scene),
-                observer=linked or observer,
+                observer=along,
             )
             if not observer.reset:
                 break
@@ -155,6 +163,9 @@ def live(
         if page is not None:
             page.close()
     run.parts.notes["live"] = note
+    run.parts.notes["priority"] = prioritised.note
+    if topics is not None:
+        run.parts.notes["ros2"] = topics.note
     if linked is not None:
         run.parts.notes["slicer"] = linked.note
     if mouse is not None:
@@ -193,12 +204,12 @@ class LiveObserver:
         self._events: list[tuple[float, str]] = []
         self._handler: Callable[[int, FrameType | None], object] | int | None = None
         self._frames, self._drawn_s = -1, 0.0
-        self._start, self._scale = np.array(_start_m(scene)), scene.coupling.motion_scale
+        self._start, self._scale = np.array(start_m(scene)), scene.coupling.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from here on Ctrl-C ends the run after its tick."""
         if self._mouse is not None:
-            low, high = _box(self._scene, parts)
+            low, high = reach_m(self._scene, parts)
             show = WindowProcess if self._page is None else self._page.show
             self._window = show(self._scene, parts, columns, low_m=low, high_m=high)
         if threading.current_thread() is threading.main_thread():
@@ -281,18 +292,3 @@ class LiveObserver:
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
         self._stopped = True
-
-
-def _start_m(scene: Scene) -> tuple[float, float, float]:
-    """Where the scripted motion starts [m]."""
-    x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0]
-    return float(x), float(y), float(z)
-
-
-def _box(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners of the box in which the pointer may move the tool [m]: around the scripted path, and back from it."""
-    path = parts.motion.sweep_m()
-    axis = parts.motion.rotations()[0][:, 2]
-    below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
-    points = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
-    return points.min(axis=0), points.max(axis=0)

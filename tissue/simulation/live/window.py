@@ -16,7 +16,7 @@ from meshes.base.errors import InputError
 from tissue.builders.parts import Parts
 from tissue.scene.scene import Scene
 from tissue.simulation.live.shared import MEMORY, AnyArray, Layout, SharedArrays
-from tissue.simulation.live.tissues import shared_tissue
+from tissue.simulation.live.tissues import NothingShared, TissueShared, shared_tissue
 from tissue.system.child import await_ready, child_command
 
 __all__ = ["CLOCK", "LOADS", "WindowProcess"]
@@ -75,6 +75,8 @@ class WindowProcess:
     module = MODULE
     place = "must open its window where there is a display"
     remedy = "mend the display, or unset DISPLAY to run without a window"
+    shows_tissue = True
+    """Whether its process is sent the tissue as it changes."""
 
     def __init__(
         self,
@@ -89,7 +91,7 @@ class WindowProcess:
         more_start: Mapping[str, AnyArray] | None = None,
     ) -> None:
         self._folder = _new_folder()
-        self._shared = shared_tissue(parts)
+        self._shared: TissueShared = shared_tissue(parts) if self.shows_tissue else NothingShared()
         layout: Layout = {
             "row": ("float64", (len(columns) + len(CLOCK),)),
             "row_turn": ("int64", (1,)),

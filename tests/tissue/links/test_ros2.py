@@ -1,0 +1,146 @@
+"""A live run on topics of ROS 2, whose packages are a stand-in on the path of both processes: nothing else knows of it."""
+
+import json
+import os
+import sys
+
+import numpy as np
+import pytest
+from ros2_stand_in import LOG, write_packages
+
+from tissue import InputError, load_scene, simulate
+from tissue.simulation.live.run import live as run_live
+from tissue.simulation.live.shared import SharedArrays
+
+SCENE = {"duration_s": 0.4, "device": "none"}
+TOPICS = ["/tissue/measured_cp", "/tissue/measured_cv", "/tissue/measured_cf"]
+STAND_INS = ("rclpy", "geometry_msgs", "crtk_msgs", "stand_in_messages")
+
+
+@pytest.fixture
+def no_display(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: "there is no display")
+
+
+def install(tmp_path, monkeypatch, **options):
+    """Put the stand-in on the path here and of processes that are started; the file that takes what is published."""
+    folder = write_packages(tmp_path / "packages", **options)
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv(LOG, str(tmp_path / "log"))
+    (tmp_path / "log").touch()
+    return tmp_path / "log"
+
+
+@pytest.fixture(autouse=True)
+def forgotten():
+    yield
+    for name in [name for name in sys.modules if name.split(".")[0] in STAND_INS]:
+        del sys.modules[name]
+
+
+def published(log):
+    """Messages by topic."""
+    found = {}
+    for line in log.read_text().splitlines():
+        entry = json.loads(line)
+        found.setdefault(entry.pop("topic"), []).append(entry)
+    return found
+
+
+def values(entry):
+    """Numbers of a message but those of its header, in their order."""
+    return [x for name, part in entry.items() if name != "header" for each in part.values() for x in each.values()]
+
+
+def test_a_run_is_on_the_topics_tick_for_tick_in_si(tmp_path, monkeypatch, no_display):
+    log = install(tmp_path, monkeypatch)
+    run = run_live(load_scene("wall", SCENE), ros2=True)
+    found, trace = published(log), run.trace
+    np.testing.assert_array_equal(trace.rows, simulate(load_scene("wall", SCENE)).trace.rows)
+    shown = trace.rows[::8]
+    columns = list(trace.columns)
+    scales = {"measured_cp": ["tool_x_mm", "tool_qw"], "measured_cv": ["velocity_x_mm_s", "angular_velocity_z_rad_s"],
+              "measured_cf": ["model_force_x_N", "model_torque_z_Nm"]}  # fmt: skip
+    for topic, (first, last) in scales.items():
+        rows = shown[:, columns.index(first) : columns.index(last) + 1].copy()
+        if topic != "measured_cf":
+            rows[:, :3] *= 1e-3
+        entries = found[f"/tissue/{topic}"]
+        assert len(entries) > 5
+        places = [np.flatnonzero((np.abs(rows - values(entry)) < 1e-15).all(axis=1)) for entry in entries]
+        assert all(len(place) for place in places), f"{topic} gave what no tick had"
+        assert all(entry["header"]["frame_id"] == "tissue_scene" for entry in entries)
+        stamps = [1e9 * entry["header"]["stamp"]["sec"] + entry["header"]["stamp"]["nanosec"] for entry in entries]
+        assert np.all(np.diff(stamps) > 0.0)
+    states = [entry["state"] for entry in found["/tissue/operating_state"]]
+    assert states[0] == "ENABLED" and states[-1] == "DISABLED" and len(found["shutdown"]) == 1
+    count = len(found["/tissue/measured_cp"])
+    assert run.parts.notes["ros2"] == f"published {count} times as {', '.join(TOPICS)}, /tissue/operating_state"
+
+
+def test_without_messages_of_crtk_there_are_three_topics(tmp_path, monkeypatch, no_display):
+    log = install(tmp_path, monkeypatch, crtk=False)
+    run = run_live(load_scene("wall", {**SCENE, "duration_s": 0.1}), ros2=True)
+    assert set(published(log)) == {*TOPICS, "shutdown"}
+    assert run.parts.notes["ros2"].endswith(", ".join(TOPICS))
+
+
+def test_a_middleware_that_does_not_start_is_refused_in_a_sentence(tmp_path, monkeypatch, no_display):
+    install(tmp_path, monkeypatch)
+    monkeypatch.setenv("TISSUE_TEST_ROS2", "broken")
+    with pytest.raises(InputError) as caught:
+        run_live(load_scene("wall", SCENE), ros2=True)
+    assert str(caught.value) == (
+        "--live must publish the run for ROS 2, but RuntimeError: the middleware does not start: mend that, or run "
+        "without --ros2"
+    )
+
+
+def test_a_middleware_that_ends_leaves_the_run_whole(tmp_path, monkeypatch, no_display):
+    install(tmp_path, monkeypatch)
+    monkeypatch.setenv("TISSUE_TEST_ROS2", "dies")
+    run = run_live(load_scene("wall", {**SCENE, "duration_s": 1.5}), ros2=True)
+    assert len(run.trace.rows) == 1500
+    assert [what for _, what in run.events if "ROS 2" in what] == [
+        "the topics of ROS 2 ended by themselves: RuntimeError: the middleware is gone"
+    ]
+
+
+def test_a_run_without_ticks_is_paused(tmp_path, monkeypatch):
+    log = install(tmp_path, monkeypatch)
+    from tissue.links import ros2
+
+    columns = [*ros2.POSE, *ros2.TWIST, *ros2.WRENCH]
+    arrays = SharedArrays(
+        tmp_path,
+        {"row": ("float64", (19,)), **dict.fromkeys(("row_turn", "ended", "frames"), ("int64", (1,)))},
+    )
+    (tmp_path / "columns.json").write_text(json.dumps(columns))
+    publisher = ros2.Ros2Publisher(tmp_path)
+    arrays.write("row", np.arange(19.0))
+    publisher.step()
+    publisher.step()
+    monkeypatch.setattr(ros2, "PAUSED_S", 0.0)
+    publisher.step()
+    publisher.step()
+    publisher.end()
+    found = published(log)
+    assert [entry["state"] for entry in found["/tissue/operating_state"]] == ["ENABLED", "PAUSED", "DISABLED"]
+    assert [values(entry) for entry in found["/tissue/measured_cv"]] == [
+        pytest.approx([7e-3, 8e-3, 9e-3, 10.0, 11.0, 12.0])
+    ]
+    assert len(found["/tissue/measured_cp"]) == int(arrays["frames"][0]) == 1
+
+
+def test_without_ros_2_the_command_names_where_to_get_it(command, no_display, monkeypatch):
+    monkeypatch.setattr("tissue.simulation.live.ros2.find_spec", lambda name: None)
+    code, _, problems = command("run", "wall", "--live", "--ros2")
+    assert (
+        code == 2
+        and "--ros2 must have the Python packages of ROS 2, got no rclpy: source the setup.bash"
+        in " ".join(problems.split())
+    )
+    code, _, problems = command("run", "wall", "--ros2")
+    assert code == 2 and "--ros2 must be left out without --live, got it: give --live" in " ".join(problems.split())

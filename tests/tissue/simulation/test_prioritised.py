@@ -1,0 +1,56 @@
+"""Ticks at a raised priority: in which thread, how long, and when it is given back."""
+
+import threading
+
+from tissue import load_scene, simulate
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.simulation.live.clock import WallClock
+from tissue.simulation.live.prioritised import Prioritised
+from tissue.simulation.live.run import LiveObserver
+from tissue.simulation.simulate import TICK_S
+
+HALF = {"duration_s": 0.5}
+
+
+class FakePriority:
+    """A priority that records what was asked, by which thread."""
+
+    def __init__(self):
+        self.asked, self.granted = [], "ordinary priority"
+
+    def begin(self):
+        self.asked.append(("begin", threading.get_native_id()))
+        self.granted = "raised"
+
+    def end(self):
+        self.asked.append(("end", threading.get_native_id()))
+
+
+def live_by(priority, changes=HALF, device=None):
+    scene = load_scene("wall", {"device": "touch"} | changes)
+    observer = Prioritised(LiveObserver(scene, None, WallClock(TICK_S)), priority)
+    return simulate(scene, observer=observer, device=device), observer
+
+
+def test_the_thread_of_the_ticks_has_its_priority_raised_while_they_run():
+    priority = FakePriority()
+    _, observer = live_by(priority, {"duration_s": 0.05})
+    this = threading.get_native_id()
+    assert priority.asked == [("begin", this), ("end", this)] and observer.note == "raised"
+    priority = FakePriority()
+    live_by(priority, {"duration_s": 0.05}, MouseDevice((0.0, 0.0, 0.0)))
+    threads = [thread for _, thread in priority.asked]
+    assert [what for what, _ in priority.asked] == ["begin", "end"] and threads[1] == this
+
+
+def test_ticks_that_leave_nothing_to_others_lose_their_priority(monkeypatch):
+    """Ticks of any length are over a share of nothing; at 90 % those of a wall, a twentieth of a millisecond, are not."""
+    priority = FakePriority()
+    run, _ = live_by(priority)
+    assert not any("ordinary priority" in what for _, what in run.events) and len(priority.asked) == 2
+    monkeypatch.setattr("tissue.simulation.live.prioritised.FULL", 0.0)
+    run, _ = live_by(priority)
+    assert [what for _, what in run.events if "ordinary priority" in what] == [
+        "the ticks took over 0% of the time: they have ordinary priority from here"
+    ]
+    assert [what for what, _ in priority.asked[2:]] == ["begin", "end", "end"]

@@ -1,0 +1,147 @@
+"""The priority of ticks against the wall clock: what is asked of each system, what is granted, and that it is put back."""
+
+import ctypes
+import os
+import subprocess
+import sys
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+from tissue.system.tick_priority import REALTIME, TickPriority
+
+linux = pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="Linux alone has these calls")
+
+
+class FakeScheduler:
+    """Calls of Linux that keep what they were given, and that grant as much as a test wants."""
+
+    def __init__(self, monkeypatch, *, realtime, nice, clear=True):
+        self.policy, self.niceness, self.calls, self._clear = (0, 0), 0, [], clear
+        self._realtime, self._nice = realtime, nice
+        for name in ("sched_setscheduler", "sched_getscheduler", "sched_getparam", "setpriority", "getpriority"):
+            monkeypatch.setattr(os, name, getattr(self, name))
+        monkeypatch.setattr(os, "sched_param", lambda priority: SimpleNamespace(sched_priority=priority))
+
+    def sched_getscheduler(self, thread):
+        return self.policy[0]
+
+    def sched_getparam(self, thread):
+        return SimpleNamespace(sched_priority=self.policy[1])
+
+    def sched_setscheduler(self, thread, policy, param):
+        self.calls.append((thread, policy, param.sched_priority))
+        if not self._realtime or (policy == 0 and not self._clear):
+            raise PermissionError(1, "Operation not permitted")
+        self.policy = (policy, param.sched_priority)
+
+    def getpriority(self, which, thread):
+        return self.niceness
+
+    def setpriority(self, which, thread, value):
+        if value < self.niceness and not self._nice:
+            raise PermissionError(13, "Permission denied")
+        self.niceness = value
+
+
+@linux
+def test_real_time_priority_is_the_threads_own_and_put_back_from_another_thread(monkeypatch):
+    fake, priority = FakeScheduler(monkeypatch, realtime=True, nice=True), TickPriority()
+    ticks = threading.Thread(target=priority.begin)
+    ticks.start()
+    number = ticks.native_id
+    ticks.join()
+    assert fake.policy == (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, REALTIME)
+    assert priority.granted == f"real-time priority {REALTIME} (SCHED_FIFO)"
+    priority.begin()  # a second call changes nothing
+    priority.end()
+    priority.end()
+    assert fake.policy == (0, 0) and {call[0] for call in fake.calls} == {number} and len(fake.calls) == 2
+
+
+@linux
+def test_who_may_not_clear_the_mark_keeps_it_at_ordinary_priority(monkeypatch):
+    fake, priority = FakeScheduler(monkeypatch, realtime=True, nice=True, clear=False), TickPriority()
+    priority.begin()
+    priority.end()
+    assert fake.policy == (os.SCHED_RESET_ON_FORK, 0)
+
+
+@linux
+def test_a_niceness_is_what_is_granted_next(monkeypatch):
+    fake, priority = FakeScheduler(monkeypatch, realtime=False, nice=True), TickPriority()
+    priority.begin()
+    assert fake.niceness == -10 and priority.granted.startswith("niceness -10: no real-time priority is granted")
+    priority.end()
+    assert fake.niceness == 0 and priority.granted == "ordinary priority"
+
+
+@linux
+def test_nothing_granted_is_noted_and_ends_nothing(monkeypatch):
+    fake, priority = FakeScheduler(monkeypatch, realtime=False, nice=False), TickPriority()
+    priority.begin()
+    assert priority.granted.startswith("ordinary priority: no other is granted, see rtprio and nice")
+    priority.end()
+    assert fake.policy == (0, 0) and fake.niceness == 0
+
+
+@linux
+def test_the_system_itself_grants_it_or_not_and_a_child_does_not_inherit_it():
+    """Whatever this person may: after it all is as it was."""
+    before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+    priority = TickPriority()
+    priority.begin()
+    try:
+        policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+        assert (policy == os.SCHED_FIFO) == priority.granted.startswith("real-time")
+        code = "import os; print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK)"
+        child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert int(child.stdout) == os.SCHED_OTHER
+    finally:
+        priority.end()
+    assert (os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK, os.getpriority(os.PRIO_PROCESS, 0)) == before
+
+
+def test_a_system_without_such_calls_is_left_as_it_is(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "freebsd14")
+    monkeypatch.delattr(os, "sched_setscheduler", raising=False)
+    priority = TickPriority()
+    priority.begin()
+    priority.end()
+    assert priority.granted == "ordinary priority: this system offers no other"
+
+
+@pytest.mark.parametrize("refused", [False, True])
+def test_windows_raises_the_class_of_the_process(monkeypatch, refused):
+    psutil = pytest.importorskip("psutil")
+    classes = [32]
+
+    class Process:
+        def nice(self, value=None):
+            if value is None:
+                return classes[-1]
+            if refused:
+                raise psutil.AccessDenied
+            classes.append(value)
+
+    monkeypatch.setattr(psutil, "Process", Process)
+    monkeypatch.setattr(sys, "platform", "win32")
+    priority = TickPriority()
+    priority.begin()
+    assert priority.granted.startswith("ordinary priority: a higher one was refused" if refused else "high priority")
+    priority.end()
+    assert classes == ([32] if refused else [32, 128, 32])
+
+
+@pytest.mark.parametrize("answer", [0, 1])
+def test_macos_asks_for_the_class_of_what_a_person_interacts_with(monkeypatch, answer):
+    asked = []
+    library = SimpleNamespace(pthread_set_qos_class_self_np=lambda kind, rank: asked.append((kind, rank)) or answer)
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: library)
+    monkeypatch.setattr(sys, "platform", "darwin")
+    priority = TickPriority()
+    priority.begin()
+    assert priority.granted.startswith("ordinary priority: a higher" if answer else "quality of service")
+    priority.end()
+    assert asked == ([(0x21, 0)] if answer else [(0x21, 0), (0x15, 0)])

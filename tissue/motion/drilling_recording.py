@@ -1,0 +1,172 @@
+"""Recordings in the layout of volumetric_drilling, by the note on data and the recorder of LCSR-SICKKIDS."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+
+__all__ = ["EVENTS", "POSES", "SHAFT_TO_X", "DrillingRecording", "read_drilling"]
+
+POSES = "physics_data/continuous_data/high_frequency_poses"
+"""Group with a group of poses for each object."""
+EVENTS = "physics_data/intermittent_data"
+"""Group of what the simulator reports now and then: removed voxels, burr, force."""
+OLD_POSES = "high_frequency_poses"
+"""Where files of the older layout have their poses; the other groups lie at the root, too."""
+SHAFT_TO_X = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
+"""Turn of our tool's frame, whose z runs from tip to shank, to their drill's, whose x does."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrillingRecording:
+    """What a recording holds, in our tool's frame and from the first pose on.
+
+    Attributes
+    ----------
+    times_s
+        Increasing times of the poses [s] from 0, shape (n,).
+    tips_m
+        Tips of the tool in the recording's world [m], shape (n, 3).
+    quaternions
+        Orientations (x, y, z, w), the tool's z axis from tip to shank, shape (n, 4).
+    load_times_s
+        Times of the loads on the poses' clock [s], shape (m,); None of a recording without.
+    loads
+        Forces on the tool in the world [N] and, where they are no copy of these, torques [N m], shape (m, 3 or 6).
+    notes
+        What was found or assumed, in sentences.
+    """
+
+    times_s: Array
+    tips_m: Array
+    quaternions: Array
+    load_times_s: Array | None
+    loads: Array | None
+    notes: tuple[str, ...]
+
+
+def read_drilling(path: Path, *, what: str) -> DrillingRecording:
+    """Read a recording of volumetric_drilling, of its present layout or of the older one.
+
+    Its drill's pose lies at the centre of the burr with x towards the shank; it is brought to the tip by half the
+    burr's size where the file states that, else it counts as the tip. The recorder hears each pose twice and out of
+    turn now and then: samples are sorted, and the first of one time is kept. Its plugin turns the force into the
+    camera's axes; where the file has a camera it is turned back.
+
+    Parameters
+    ----------
+    path
+        HDF5 file.
+    what
+        What names it in errors, such as ``motion.file``.
+
+    Raises
+    ------
+    InputError
+        If what reads it is not installed, or it is no whole recording of this kind.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise InputError(
+            f"{what} must have what reads it installed, got no h5py: pip install 'tissue-sim[h5]'"
+        ) from None
+    try:
+        with h5py.File(path, "r") as file:
+            return _read(file, _Where(path, what))
+    except (InputError, MemoryError):
+        raise
+    except Exception as problem:  # h5py raises a dozen kinds for a damaged file
+        raise InputError(
+            f"{what} must be a whole HDF5 file, got {path} ({' '.join(str(problem).split())}): export it again"
+        ) from None
+
+
+@dataclass(frozen=True)
+class _Where:
+    """A file and what names it in errors."""
+
+    path: Path
+    what: str
+
+    def error(self, requirement: str, got: str, remedy: str) -> InputError:
+        return InputError(f"{self.what} must {requirement}, got {got} in {self.path}: {remedy}")
+
+
+def _read(file: Any, where: _Where) -> DrillingRecording:
+    old = POSES not in file and OLD_POSES in file
+    poses, events = (OLD_POSES, "") if old else (POSES, EVENTS + "/")
+    if poses not in file:
+        raise where.error("be a recording of volumetric_drilling", f"no {POSES}", "give a CSV such as trace.csv")
+    names = list(file[poses])
+    drills = [name for name in names if "drill" in name]
+    if len(drills) != 1:
+        raise where.error("hold the poses of one drill", ", ".join(names) or "no object", "leave one with drill")
+    notes = ["a recording of volumetric_drilling, in its world"]
+    times, pose = _samples(file, f"{poses}/{drills[0]}", "pose", 7, where)
+    if len(times) < 2:
+        raise where.error("hold at least two poses", f"{len(times)}", "record more")
+    turns = _turns(pose, f"{poses}/{drills[0]}", where) * SHAFT_TO_X
+    tips = pose[:, :3]
+    if f"{events}burr_change" in file:
+        _, sizes = _samples(file, f"{events}burr_change", "burr_size", 1, where)
+        if len(np.unique(sizes)) != 1 or sizes[0, 0] <= 0.0:
+            raise where.error(
+                "keep one burr", f"sizes {sorted(set(sizes[:, 0].tolist()))} mm", "cut it where it changes"
+            )
+        tips = tips - turns.apply([0.0, 0.0, 0.5e-3 * sizes[0, 0]])
+    else:
+        notes.append("no size of the burr: the recorded point of the drill counts as its tip")
+    start = float(times[0])
+    load_times, loads = None, None
+    if f"{events}drill_force_feedback" in file:
+        load_times, loads = _samples(file, f"{events}drill_force_feedback", "wrench", 6, where)
+        cameras = [name for name in names if "camera" in name]
+        if len(cameras) == 1:
+            shown, seen = _samples(file, f"{poses}/{cameras[0]}", "pose", 7, where)
+            nearest = np.clip(np.searchsorted(shown, load_times), 0, len(shown) - 1)
+            camera = _turns(seen, f"{poses}/{cameras[0]}", where)[nearest]
+            loads = np.hstack([camera.apply(loads[:, :3]), camera.apply(loads[:, 3:])])
+            notes.append("forces turned from the camera's axes to the world's")
+        if len(loads) and loads.any() and np.array_equal(loads[:, :3], loads[:, 3:]):
+            loads = loads[:, :3]
+            notes.append("torques left out: they are a copy of the forces, as the recorded program sends them")
+        load_times = load_times - start
+    return DrillingRecording(times - start, tips, turns.as_quat(), load_times, loads, tuple(notes))
+
+
+def _samples(file: Any, group: str, name: str, width: int, where: _Where) -> tuple[Array, Array]:
+    """Increasing times [s], shape (n,), and values at them, shape (n, width)."""
+    times, values = (_numbers(file, f"{group}/{each}", where) for each in ("time_stamp", name))
+    values = values[:, None] if values.ndim == 1 and width == 1 else values
+    if times.ndim != 1 or values.shape != (len(times), width):
+        raise where.error(
+            f"hold {width} values of {group}/{name} at each time_stamp",
+            f"shapes {values.shape} and {times.shape}",
+            "record it again",
+        )
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
+        raise where.error("hold finite numbers", f"others for {group}", "cut them out")
+    order = np.unique(times, return_index=True)[1]
+    return times[order], values[order]
+
+
+def _numbers(file: Any, name: str, where: _Where) -> Array:
+    import h5py
+
+    found = file.get(name)
+    if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "fiu":
+        raise where.error(f"hold numbers as {name}", "none", "record it again")
+    return np.asarray(found[()], dtype=np.float64)
+
+
+def _turns(pose: Array, name: str, where: _Where) -> Rotation:
+    """Orientations of poses, shape (n, 7)."""
+    if len(pose) == 0 or not (np.linalg.norm(pose[:, 3:], axis=1) > 1e-6).all():
+        raise where.error("hold unit quaternions", f"a zero one, or none, for {name}", "use 0, 0, 0, 1 there")
+    return Rotation.from_quat(pose[:, 3:])

@@ -1,0 +1,139 @@
+"""A run as a recording that other programs read: HDF5 in the layout of volumetric_drilling's recorder."""
+
+from collections.abc import Iterable
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from meshes.base.whole_file import whole_file
+from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.motion.drilling_recording import EVENTS, POSES, SHAFT_TO_X
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+from tissue.simulation.trace import Table
+from tissue.simulation.trace_files import RECORDING, write_trace
+
+if TYPE_CHECKING:
+    from tissue.models.bone.replay import CarvingReplay
+
+__all__ = ["Recorded", "write_formats", "write_recording"]
+
+Array = NDArray[np.float64]
+DRILL, ANATOMY = "mastoidectomy_drill", "anatomy_object_name"
+"""Objects by the names that the recorder has by default, so that scripts for its files find them."""
+DENSEST_KG_M3 = 2000.0
+"""Density of bone that is drawn white [kg/m3]."""
+ABOUT = (
+    "Lengths in m, times in s from the start of the run, forces in N, torques in N m about the tool's tip. Poses are\n"
+    "T_world_obj: x, y, z, qx, qy, qz, qw. The world is the frame of the scene; there is no camera, and forces on the\n"
+    "tool are in the world's axes. The drill's origin lies half the burr's size above its tip, x towards the shank.\n"
+    "The anatomy's origin lies in the middle of the block of voxels, whose axes are the world's.\n"
+)
+ABOUT_VOXELS = (
+    "A row of voxel_removed is the place of its time in voxel_time_stamp, then the voxel's index along x, y and z; a\n"
+    "row of voxel_color that place, then red, green, blue (by density) and alpha (bone before the cut), 0 to 255.\n"
+    "Removal is fractional: a voxel is removed in the tick in which less than half of it is left.\n"
+)
+
+
+class Recorded(Protocol):
+    """What is asked of a run: one just simulated, or one in its folder."""
+
+    @property
+    def scene(self) -> Scene: ...
+
+    @property
+    def trace(self) -> Table: ...
+
+    @property
+    def poses(self) -> Array | None: ...
+
+    @property
+    def volume(self) -> VoxelVolume: ...
+
+    def replay(self) -> "CarvingReplay":
+        """The carving once more."""
+        ...
+
+
+def write_formats(run: Recorded, folder: Path, formats: Iterable[str]) -> None:
+    """Write a run's further formats into a folder."""
+    for kind in formats:
+        if kind == RECORDING:
+            write_recording(run, folder / "recording.hdf5")
+        else:
+            write_trace(run.trace, folder, kind)
+
+
+def write_recording(run: Recorded, path: Path) -> None:
+    """Write a run in the layout of volumetric_drilling's recorder, its note on data of version 3.
+
+    What a run does not have is left out, as the recorder leaves out what it did not hear: images and camera, and of a
+    tool that cuts nothing the voxels and the burr.
+    """
+    import h5py
+
+    # Made in memory: HDF5 ends the process where its file cannot grow on a full disk.
+    image = BytesIO()
+    with h5py.File(image, "w") as file:
+        for group in ("vision_data/intermittent_data", "vision_data/continuous_data", EVENTS, POSES):
+            file.create_group(group)
+        file["metadata_v3/README"] = ABOUT
+        _write_poses(file, run)
+        if run.poses is not None and len(run.trace.rows):
+            _write_voxels(file, run)
+    with whole_file(path) as temporary:
+        temporary.write_bytes(image.getbuffer())
+
+
+def _write_poses(file: Any, run: Recorded) -> None:
+    """Poses of drill and anatomy, forces, and the size of the burr at the start."""
+    trace, tool = run.trace, run.scene.tool
+    times = trace["time_s"]
+    turns = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
+    held = Rotation.from_quat(turns) if len(turns) else Rotation.identity(0)
+    size_mm = tool.diameter_mm if isinstance(tool, Tool) else 0.0
+    centres = 1e-3 * trace.vectors("tool", "mm") + (held.apply([0.0, 0.0, 0.5e-3 * size_mm]) if len(turns) else 0.0)
+    _store(file, f"{POSES}/{DRILL}_pose", times, pose=np.hstack([centres, (held * SHAFT_TO_X.inv()).as_quat()]))
+    place = np.zeros(3)
+    if run.poses is not None:
+        low, high = run.volume.bounds_m
+        place = 0.5 * (low + high)
+    still = np.tile([*place, 0.0, 0.0, 0.0, 1.0], (len(times), 1))
+    _store(file, f"{POSES}/{ANATOMY}_pose", times, pose=still)
+    loads = np.hstack([trace.vectors("force", "N"), trace.vectors("torque", "Nm")])
+    _store(file, f"{EVENTS}/drill_force_feedback", times, wrench=loads)
+    if size_mm > 0.0:
+        _store(file, f"{EVENTS}/burr_change", times[:1], burr_size=np.array([size_mm])[: len(times)])
+
+
+def _write_voxels(file: Any, run: Recorded) -> None:
+    """Voxels in the order in which they fell below half, grouped by tick."""
+    volume = run.volume
+    file["metadata_v3/voxel_volume"] = 1e9 * volume.voxel_volume_m3
+    file["metadata_v3/voxel_volume"].attrs["units"] = "mm^3, millimeters cubed"
+    places, ticks = run.replay().removals()
+    if len(places) == 0:
+        return
+    when, group = np.unique(ticks, return_inverse=True)
+    at = tuple(places.T)
+    grey = 255.0 * np.minimum(volume.density_kg_m3[at] / DENSEST_KG_M3, 1.0)
+    colour = np.column_stack([grey, grey, grey, volume.fraction[at] * (255.0 / FULL)])
+    name = f"{EVENTS}/voxels_removed"
+    for key, values in {
+        "voxel_time_stamp": run.trace["time_s"][when],
+        "voxel_removed": np.column_stack([group, places]).astype(np.float64),
+        "voxel_color": np.column_stack([group, colour]),
+    }.items():
+        file.create_dataset(f"{name}/{key}", data=values, compression="gzip")
+    file[f"{name}/README"] = ABOUT_VOXELS
+
+
+def _store(file: Any, group: str, times: Array, **values: Array) -> None:
+    """Write samples and their times, float64 in gzip as the recorder does."""
+    for name, samples in {"time_stamp": times, **values}.items():
+        file.create_dataset(f"{group}/{name}", data=samples, compression="gzip")
