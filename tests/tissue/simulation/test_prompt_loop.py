@@ -22,7 +22,7 @@ KEPT = (
     (soft_organ, "_patches"), (forecast, "_forecasts"),
 )  # fmt: skip
 """What runs of a process share."""
-SECONDS = {"T2": 1.5, "T1": 0.6, "T3": 0.6, "needle": 1.0, "drilling": 0.5, "reaming": 0.5}
+SECONDS = {"T2": 1.5, "T1": 0.6, "T3": 0.6, "needle": 1.0, "drilling": 1.0, "reaming": 1.5}
 
 
 def by_hand(task):
@@ -35,7 +35,7 @@ class Pausing(RecordedDevice):
     """A record with a gap, in which there is no sample."""
 
     def read(self, time_s: float) -> Sample | None:
-        return None if 0.3 < time_s < 0.35 else super().read(time_s)
+        return None if 0.8 < time_s / self._last < 0.85 else super().read(time_s)
 
 
 @pytest.mark.parametrize(
