@@ -1,6 +1,7 @@
 """What a study costs: seconds a trial by task, efficiency against workers, and memory against the number of trials.
 
 Run from the repository: python tests/bench/bench_study.py [--trials 4] [--workers 1 2 4] [--out study_cost.png]
+[--tasks T1 T2 T3] [--methods penalty koopman]
 
 The same study, its tasks in turn, is run by each number of workers. Efficiency is t_1 / (n t_n): of the whole study,
 the workers' start included, and of its steady part, from the trial at which every worker has done one to the last.
@@ -22,6 +23,7 @@ from harness import machine, table
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.runner import run_study
+from tissue.evaluation.study.tasks import METHODS
 from tissue.evaluation.study.trial import run_trial
 
 TASKS = ("T1", "T2", "T3")
@@ -34,25 +36,28 @@ def main() -> None:
     asked = argparse.ArgumentParser()
     asked.add_argument("--trials", type=int, default=4, help="trials for each task and group")
     asked.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4])
+    asked.add_argument("--tasks", nargs="+", default=list(TASKS))
+    asked.add_argument("--methods", nargs="+", default=list(METHODS))
     asked.add_argument("--out", type=Path, default=Path("study_cost.png"))
     chosen = asked.parse_args()
     print(machine())
-    warm_caches()
-    plan = Plan(trials=chosen.trials, tasks=TASKS, sensitivity=False)
+    plan = Plan(trials=chosen.trials, tasks=(*chosen.tasks,), methods=(*chosen.methods,), sensitivity=False)
+    warm_caches(plan)
     runs = [measured(plan, workers) for workers in chosen.workers]
     if any(each.rows != runs[0].rows for each in runs):
         raise SystemExit("the tables of the workers differ")
     print(f"{runs[0].done[-1][1]} trials of {len(plan.methods)} methods, the same table each time")
     print(table([efficiency(each, runs[0]) for each in runs], HEADER))
-    print(table([costs(each) for each in runs], ("workers", *(f"{task} s" for task in TASKS), "900 trials, min")))
+    head = "workers", *(f"{task} s" for task in plan.tasks), "trials x methods a second", "300 trials a task, min"
+    print(table([costs(each, len(plan.methods)) for each in runs], head))
     draw(runs, chosen.out)
     print(chosen.out)
 
 
-def warm_caches() -> None:
+def warm_caches(plan: Plan) -> None:
     """One trial of each task, so that no run pays for compiling kernels or condensing organs."""
-    for task in TASKS:
-        run_trial(Plan(), TrialKey(task, "novice", 0))
+    for task in plan.tasks:
+        run_trial(plan, TrialKey(task, "novice", 0))
 
 
 @dataclass
@@ -147,10 +152,11 @@ def efficiency(each: Measured, alone: Measured) -> tuple[str, ...]:
     )
 
 
-def costs(each: Measured) -> tuple[str, ...]:
-    """Median wall time of a trial of each task, and what the whole study would take."""
-    whole = PAPER_TRIALS * len(TASKS) * each.steady_s / 60.0
-    return (str(each.workers), *(f"{each.took_s[task]:.2f}" for task in TASKS), f"{whole:.0f}")
+def costs(each: Measured, methods: int) -> tuple[str, ...]:
+    """Median wall time of a trial of each task, throughput of all workers, and what the whole study would take."""
+    whole = PAPER_TRIALS * len(each.took_s) * each.steady_s / 60.0
+    took = (f"{one:.2f}" for one in each.took_s.values())
+    return str(each.workers), *took, f"{methods / each.steady_s:.2f}", f"{whole:.0f}"
 
 
 def draw(runs: list[Measured], path: Path) -> None:

@@ -50,8 +50,8 @@ BRICK = 8
 a tool only grazes voxels, float32 coordinates from another origin still decide otherwise in single ticks."""
 
 
-MOST_KEPT = 4e6
-"""Voxels above which a volume is made anew for each run rather than kept: some 70 MB."""
+MOST_KEPT = 1e7
+"""Voxels above which a volume is made anew for each run rather than kept: 60 MB."""
 _volumes: Kept[VoxelVolume] = Kept(2)
 """Of procedural bone, which follows from its parameters, by them, the region and the guide hole."""
 
