@@ -249,7 +249,11 @@ class SoftOrgan:
             fields=fields,
             prony=self.prony,
             lazy=lazy,
-            law=None if law is None else law_offset_of(self, law, touchable),
+            law=None
+            if law is None
+            else law_offset_of(
+                self, law, touchable, contact, tips_m=tips_m, rotations=rotations, report=report
+            ),  # fmt: skip
             ball_radius_m=radius,
             step_s=step_s,
         )
