@@ -1,4 +1,4 @@
-"""Energy and stress at some points of a body under laws of principal stretches, each with a volume of its own.
+"""Energy, stress and its tangent at some points of a body under laws of principal stretches, each with a volume of its own.
 
 The laws are those of ``kernels.tet_hyperelastic``. Who knows how far a displacement in a few modes stretches the body at
 the points needs neither nodes nor cells.
@@ -6,9 +6,9 @@ the points needs neither nodes nor cells.
 
 import warp as wp
 
-from kernels.tet_hyperelastic import derivatives, stretches_of
+from kernels.tet_hyperelastic import derivatives, pair_moduli, stretches_of
 
-__all__ = ["sampled_stress"]
+__all__ = ["sampled_moduli", "sampled_stress"]
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -46,3 +46,47 @@ def sampled_stress(
     for i in range(3):
         for j in range(3):
             stress_out[point, 3 * i + j] = stress[i, j]
+
+
+@wp.kernel
+def sampled_moduli(
+    # points
+    volume: wp.array(dtype=wp.float64),
+    moduli: wp.array2d(dtype=wp.float64),
+    # law
+    terms: wp.array2d(dtype=wp.float64),
+    powers: wp.array(dtype=wp.float64),
+    # state, no point of it turned over
+    gradient: wp.array2d(dtype=wp.float64),
+    # out
+    moduli_out: wp.array3d(dtype=wp.float64),  # [point, 3 i + j, 3 k + m], second derivative of the energy [J]
+):
+    """Second derivative of each point's energy by the displacement's gradient there."""
+    point = wp.tid()
+    f = wp.mat33d()
+    for i in range(3):
+        for j in range(3):
+            f[i, j] = gradient[point, 3 * i + j]
+        f[i, i] = f[i, i] + wp.float64(1.0)
+    stretch, v = stretches_of(f)
+    _energy, slope, curvature = derivatives(stretch, moduli[point, 1], moduli[point, 0], terms, powers)
+    first = wp.cw_div(slope, stretch)
+    second = wp.cw_div(curvature, wp.outer(stretch, stretch)) - wp.diag(wp.cw_div(first, stretch))
+    along, across = pair_moduli(stretch, first, second)
+    one = wp.float64(1.0)
+    u = f * v * wp.diag(wp.cw_div(wp.vec3d(one, one, one), stretch))
+    for k in range(3):
+        for m in range(3):
+            turned = wp.outer(wp.vec3d(u[k, 0], u[k, 1], u[k, 2]), wp.vec3d(v[m, 0], v[m, 1], v[m, 2]))
+            local = wp.mat33d()
+            for i in range(3):
+                for j in range(3):
+                    if i == j:
+                        for n in range(3):
+                            local[i, i] = local[i, i] + second[i, n] * turned[n, n]
+                    else:
+                        local[i, j] = along[i, j] * turned[i, j] + across[i, j] * turned[j, i]
+            change = volume[point] * (u * local * wp.transpose(v))
+            for i in range(3):
+                for j in range(3):
+                    moduli_out[point, 3 * i + j, 3 * k + m] = change[i, j]

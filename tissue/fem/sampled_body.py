@@ -9,7 +9,7 @@ energy of the mesh in these modes.
 import numpy as np
 import warp as wp
 
-from kernels.sampled_stress import sampled_stress
+from kernels.sampled_stress import sampled_moduli, sampled_stress
 from meshes.base.arrays import Array, Ints
 from tissue.fem.shapes import gauss_points, gradient_slopes
 from tissue.fem.space import Space
@@ -55,22 +55,18 @@ class SampledBody:
         moved = modes.reshape(space.node_count, 3, -1)[space.cell_nodes[cell]]
         self.gradients = np.einsum("paj,pair->pijr", slope, moved, optimize=True).reshape(9 * len(cell), -1)
         """Of the modes at the points, shape (9p, r)."""
-        self._law, self._factors = law, cell_factors[cell]
         count = len(cell)
-        self._gradient = wp.zeros((count, 9), dtype=wp.float64, device="cpu")
-        self._energy = wp.zeros(count, dtype=wp.float64, device="cpu")
-        self._stress = wp.zeros((count, 9), dtype=wp.float64, device="cpu")
-        self._host = self._gradient.numpy().reshape(-1), self._energy.numpy(), self._stress.numpy().reshape(-1)
-        moduli = np.outer(self._factors, [law.bulk_Pa, law.shear_Pa])
-        constants = [self.volumes_m3, moduli, np.array(law.terms) / [law.shear_Pa, 1.0]]
-        constants.append(np.array(law.powers_Pa) / law.shear_Pa)
-        self._launch = wp.launch(
-            sampled_stress,
-            dim=count,
-            inputs=[*(wp.array(each, dtype=wp.float64, device="cpu") for each in constants), self._gradient],
-            outputs=[self._energy, self._stress],
-            device="cpu",
-            record_cmd=True,
+        gradient, stress = (wp.zeros((count, 9), dtype=wp.float64, device="cpu") for _ in range(2))
+        energy = wp.zeros(count, dtype=wp.float64, device="cpu")
+        moduli = wp.zeros((count, 9, 9), dtype=wp.float64, device="cpu")
+        self._host = gradient.numpy().reshape(-1), energy.numpy(), stress.numpy().reshape(-1), moduli.numpy()
+        factors = cell_factors[cell]
+        constants = [self.volumes_m3, np.outer(factors, [law.bulk_Pa, law.shear_Pa])]
+        constants += [np.array(law.terms) / [law.shear_Pa, 1.0], np.array(law.powers_Pa) / law.shear_Pa]
+        inputs = [*(wp.array(each, dtype=wp.float64, device="cpu") for each in constants), gradient]
+        self._stress, self._moduli = (
+            wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device="cpu", record_cmd=True)
+            for kernel, outputs in ((sampled_stress, [energy, stress]), (sampled_moduli, [moduli]))
         )
 
     @property
@@ -85,16 +81,16 @@ class SampledBody:
 
     def stress(self, amounts: Array) -> tuple[Array, Array]:
         """Energy of each point [J], shape (p,), and its derivative by the gradient there [J], shape (9p,); views."""
-        gradient, energy, stress = self._host
+        gradient, energy, stress, _ = self._host
         np.matmul(self.gradients, amounts, out=gradient)
-        self._launch.launch()
+        self._stress.launch()
         return energy, stress
 
     def tangent(self, amounts: Array) -> Array:
         """Second derivative of the energy by amounts that turn no point over, symmetric, shape (r, r)."""
-        size = self.size
-        stretched = np.eye(3) + (self.gradients @ amounts).reshape(-1, 3, 3)
-        moduli = self._law.tangent(stretched).reshape(-1, 9, 9) * (self._factors * self.volumes_m3)[:, None, None]
-        each = self.gradients.reshape(-1, 9, size)
-        tangent = self.gradients.T @ np.matmul(moduli, each).reshape(-1, size)
+        gradient, _, _, moduli = self._host
+        np.matmul(self.gradients, amounts, out=gradient)
+        self._moduli.launch()
+        each = np.matmul(moduli, self.gradients.reshape(-1, 9, self.size))
+        tangent = self.gradients.T @ each.reshape(-1, self.size)
         return np.asarray(0.5 * (tangent + tangent.T))

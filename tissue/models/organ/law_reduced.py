@@ -14,7 +14,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.fem.sampled_body import SampledBody
 from tissue.models.organ.contact import SurfaceContact
-from tissue.models.organ.law_training import Trained
+from tissue.models.organ.law_training import Trained, missed_share
 
 __all__ = ["LawReduced"]
 
@@ -25,8 +25,9 @@ SMALL = 0.05
 HALVINGS = 6
 BEYOND = 1.1
 """Amounts over the greatest trained, from which a press counts as deeper than trained."""
-OUTSIDE, LEAST = 2.0, 0.01
-"""Missed share of the linear energy over the greatest trained, and itself, from which a press counts as elsewhere."""
+ELSEWHERE = 2.0
+"""Share of the linear energy that the basis misses, over the greatest of a trained press, from which a press counts as
+elsewhere."""
 
 
 class LawReduced:
@@ -54,10 +55,9 @@ class LawReduced:
         self._at_rest = contact.result.compliance_m_N.copy()
         self._one = np.eye(body.size)
         self._amounts = np.zeros(body.size)
-        self._inverse = np.linalg.inv(body.tangent(self._amounts))
-        self._take(self._inverse)
         self._inner = np.zeros(body.size)
         self._offset = np.zeros((len(surface) // 3, 3))
+        self._take(np.linalg.inv(body.tangent(self._amounts)))
         self._next_s = interval_s
         self._stale = self._deeper = self._elsewhere = self._told = False
         self._ticks = self._unsettled_ticks = self._outside_ticks = 0
@@ -68,9 +68,8 @@ class LawReduced:
         """The offset of the last tick [m], shape (t, 3)."""
         return self._offset
 
-    def offset_m(self, time_s: float, depth_m: float) -> Array:
+    def offset_m(self, _time_s: float, _depth_m: float) -> Array:
         """Go on by the forces of the last tick; the offset of the touchable nodes now [m], the same array each time."""
-        del time_s, depth_m
         force = self._contact.result.nodal_forces_N
         loaded = np.flatnonzero(force.any(axis=1))
         rows = (3 * loaded[:, None] + np.arange(3)).ravel()
@@ -90,15 +89,13 @@ class LawReduced:
         if unsettled and touching:
             self._stale = True
             self._unsettled_ticks += 1
-        moved = self._amounts - self._inverse @ self._inner
-        np.matmul(self._surface, moved, out=self._offset.reshape(-1))
+        self._lie()
         self._deeper = bool(float(np.linalg.norm(self._amounts)) > BEYOND * self._training.farthest)
         self._outside_ticks += touching and (self._deeper or self._elsewhere)
         return self._offset
 
-    def renew(self, time_s: float, depth_m: float, contact: SurfaceContact) -> None:
+    def renew(self, time_s: float, _depth_m: float, contact: SurfaceContact) -> None:
         """Where an interval ends, or a tick did not converge, take the tangent of now."""
-        del depth_m
         if time_s < self._next_s - 1e-9 and not self._stale:
             return
         self._stale, self._next_s = False, time_s + self.interval_s
@@ -106,9 +103,10 @@ class LawReduced:
         if not force.any():
             return
         loaded = np.flatnonzero(force)
-        linear = float(force[loaded] @ self._at_rest[np.ix_(loaded, loaded)] @ force[loaded])
-        missed = 1.0 - float(np.sum((force[loaded] @ self._surface[loaded]) ** 2)) / linear
-        self._elsewhere = missed > max(OUTSIDE * self._training.missed, LEAST)
+        linear_J = float(force[loaded] @ self._at_rest[np.ix_(loaded, loaded)] @ force[loaded])
+        kept_J = float(np.sum((force[loaded] @ self._surface[loaded]) ** 2))
+        missed = missed_share(linear_J, kept_J, self._training.farthest)
+        self._elsewhere = missed > ELSEWHERE * self._training.missed
         if (self._elsewhere or self._deeper) and not self._told:
             self._told = True
             self.notices.append(
@@ -124,6 +122,12 @@ class LawReduced:
         self._inverse = inverse
         change = self._surface @ (inverse - self._one) @ self._surface.T
         self._contact.change_compliance(self._at_rest + 0.5 * (change + change.T))
+        self._lie()
+
+    def _lie(self) -> None:
+        """The offset of the touchable nodes by the amounts and the tangent of now."""
+        moved = self._amounts - self._inverse @ self._inner
+        np.matmul(self._surface, moved, out=self._offset.reshape(-1))
 
     def finish(self) -> None:
         """Report how many ticks did not converge, and how many lay outside of what was trained."""

@@ -20,7 +20,7 @@ from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.law_offset import LawOffset
 
-__all__ = ["ReducedSettings", "Trained", "trained"]
+__all__ = ["ReducedSettings", "Trained", "missed_share", "trained"]
 
 STEP_M = 4e-4
 """Longest step of the tool between two solves [m]."""
@@ -31,6 +31,8 @@ APART = 2
 """Steps from one equilibrium that is kept to the next."""
 MOST_KEPT, MOST_POINTS = 100, 600
 """Equilibria, and points."""
+LIGHT = 0.3
+"""Size over the greatest trained below which a press is light: the linear law answers it."""
 TOLERANCE, STEPS = 1e-3, 60
 """Of an equilibrium: greatest force that is not balanced, over the greatest; most steps."""
 
@@ -128,9 +130,12 @@ def trained(
         points, volumes, error = _sampled(SampledBody(space, law, cell_factors, modes), states, settings.error)
         loads = forces_N.reshape(len(forces_N), -1)
         energy = np.einsum("su,us->s", loads, linear_m)
-        missed = 1.0 - ((loads @ modes) ** 2).sum(axis=1) / energy
+        farthest = float(np.linalg.norm(states, axis=1).max())
+        missed = max(
+            missed_share(*pair, farthest) for pair in zip(energy, ((loads @ modes) ** 2).sum(axis=1), strict=True)
+        )
         return {"modes": modes, "points": points, "volumes": volumes,
-                "limits": np.array([error, missed.max(), np.linalg.norm(states, axis=1).max()])}  # fmt: skip
+                "limits": np.array([error, missed, farthest])}  # fmt: skip
 
     tool = [probe.kind, probe.size_m, *(getattr(probe, "points_m", np.zeros(0)).ravel().tolist())]
     key = [body.stiffness.data, body.stiffness.indices, body.fixed, cell_factors, law, at_rest, transfer.data,
@@ -141,6 +146,19 @@ def trained(
         modes=np.asarray(found["modes"], dtype=np.float64), points=np.asarray(found["points"], dtype=np.int64),
         volumes_m3=np.asarray(found["volumes"], dtype=np.float64), error=error, missed=missed, farthest=farthest,
     )  # fmt: skip
+
+
+def missed_share(linear_J: float, kept_J: float, farthest: float) -> float:
+    """Share of the linear energy of a press that a basis misses; that of a light press counts little.
+
+    Parameters
+    ----------
+    linear_J, kept_J
+        Twice the energy of the linear body under the press, and that in the basis [J].
+    farthest
+        Greatest size of the trained amounts [sqrt(J)].
+    """
+    return (linear_J - kept_J) / max(linear_J, (LIGHT * farthest) ** 2)
 
 
 def _pressed(
