@@ -18,16 +18,16 @@ from tissue.models.organ.law_training import Trained, missed_share
 
 __all__ = ["LawReduced"]
 
-UNSETTLED = 0.05
-"""Step of the amounts over their size from which a tick counts as not converged."""
+UNSETTLED = 0.02
+"""Step that is left to the amounts under the forces of a tick, over their size, from which it did not converge."""
 SMALL = 0.05
 """Share of the trained amounts below which amounts count as that much."""
 HALVINGS = 6
 BEYOND = 1.1
 """Amounts over the greatest trained, from which a press counts as deeper than trained."""
-ELSEWHERE = 2.0
-"""Share of the linear energy that the basis misses, over the greatest of a trained press, from which a press counts as
-elsewhere."""
+ELSEWHERE = 0.05
+"""Share of the linear energy that the basis misses from which a press counts as elsewhere than trained: the linear law
+answers it, which is a fifth off where tissue is pressed deep."""
 
 
 class LawReduced:
@@ -73,9 +73,8 @@ class LawReduced:
         force = self._contact.result.nodal_forces_N
         loaded = np.flatnonzero(force.any(axis=1))
         rows = (3 * loaded[:, None] + np.arange(3)).ravel()
-        step = self._inverse @ (force[loaded].ravel() @ self._surface[rows] - self._inner)
-        size = max(float(np.linalg.norm(self._amounts)), SMALL * self._training.farthest)
-        unsettled = bool(float(np.linalg.norm(step)) > UNSETTLED * size)
+        push = force[loaded].ravel() @ self._surface[rows]
+        step = self._inverse @ (push - self._inner)
         for _ in range(HALVINGS):
             energy, inner = self._body.energy_and_force(self._amounts + step)
             if np.isfinite(energy):
@@ -83,12 +82,13 @@ class LawReduced:
                 self._inner = inner
                 break
             step *= 0.5
-            unsettled = True
         touching = len(loaded) > 0
         self._ticks += touching
-        if unsettled and touching:
+        left = float(np.linalg.norm(self._inverse @ (push - self._inner)))
+        size = max(float(np.linalg.norm(self._amounts)), SMALL * self._training.farthest)
+        if left > UNSETTLED * size:
             self._stale = True
-            self._unsettled_ticks += 1
+            self._unsettled_ticks += touching
         self._lie()
         self._deeper = bool(float(np.linalg.norm(self._amounts)) > BEYOND * self._training.farthest)
         self._outside_ticks += touching and (self._deeper or self._elsewhere)
@@ -106,7 +106,7 @@ class LawReduced:
         linear_J = float(force[loaded] @ self._at_rest[np.ix_(loaded, loaded)] @ force[loaded])
         kept_J = float(np.sum((force[loaded] @ self._surface[loaded]) ** 2))
         missed = missed_share(linear_J, kept_J, self._training.farthest)
-        self._elsewhere = missed > ELSEWHERE * self._training.missed
+        self._elsewhere = missed > max(ELSEWHERE, 2.0 * self._training.missed)
         if (self._elsewhere or self._deeper) and not self._told:
             self._told = True
             self.notices.append(

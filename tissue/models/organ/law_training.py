@@ -118,29 +118,39 @@ def trained(
     """
     probe, at_rest = contact.probe, contact.result.compliance_m_N.copy()
 
-    def make() -> Arrays:
+    def press() -> Arrays:
         forces_N, moved_m = _pressed(contact, follower(), body, transfer, tips_m, rotations, report)
         contact.change_compliance(at_rest)
+        contact.shift(np.zeros_like(contact.nodes_m))
         contact.forget()
-        report("reducing the law", 0.5)
-        solver = follower().at_rest
-        linear_m = np.stack([solver.solve(load).displacement_m.ravel() for load in forces_N], axis=1)
-        modes = press_basis(body.stiffness, linear_m, moved_m, settings.modes)
-        states = (modes.T @ (body.stiffness @ moved_m)).T
-        points, volumes, error = _sampled(SampledBody(space, law, cell_factors, modes), states, settings.error)
-        loads = forces_N.reshape(len(forces_N), -1)
-        energy = np.einsum("su,us->s", loads, linear_m)
-        farthest = float(np.linalg.norm(states, axis=1).max())
-        missed = max(
-            missed_share(*pair, farthest) for pair in zip(energy, ((loads @ modes) ** 2).sum(axis=1), strict=True)
-        )
-        return {"modes": modes, "points": points, "volumes": volumes,
-                "limits": np.array([error, missed, farthest])}  # fmt: skip
+        return {"forces": forces_N, "moved": moved_m}
 
     tool = [probe.kind, probe.size_m, *(getattr(probe, "points_m", np.zeros(0)).ravel().tolist())]
     key = [body.stiffness.data, body.stiffness.indices, body.fixed, cell_factors, law, at_rest, transfer.data,
-           transfer.indices, contact.friction, tool, tips_m, rotations, settings]  # fmt: skip
-    found = cached_arrays("reduced-law", key, make)
+           transfer.indices, contact.friction, tool, tips_m, rotations]  # fmt: skip
+    presses = cached_arrays("law-presses", key, press)
+    forces_N, moved_m = (np.asarray(presses[name], dtype=np.float64) for name in ("forces", "moved"))
+    if not len(forces_N):
+        raise InputError(
+            "organ.law_method must be offset for a tool whose path does not touch the organ, got reduced: "
+            "lead the path into it"
+        )
+
+    def make() -> Arrays:
+        report("reducing the law", 0.7)
+        spread, solver = csr_array(transfer.T), follower().at_rest
+        loads_N = [spread @ each for each in forces_N]
+        linear_m = np.stack([solver.solve(load).displacement_m.ravel() for load in loads_N], axis=1)
+        modes = press_basis(body.stiffness, linear_m, moved_m, settings.modes)
+        states = (modes.T @ (body.stiffness @ moved_m)).T
+        points, volumes, error = _sampled(SampledBody(space, law, cell_factors, modes), states, settings.error)
+        farthest, missed = float(np.linalg.norm(states, axis=1).max()), 0.0
+        for load, linear in zip(loads_N, linear_m.T, strict=True):
+            kept_J = float(np.sum((load.ravel() @ modes) ** 2))
+            missed = max(missed, missed_share(float(load.ravel() @ linear), kept_J, farthest))
+        return {"modes": modes, "points": points, "volumes": volumes, "limits": np.array([error, missed, farthest])}
+
+    found = cached_arrays("reduced-law", [*key, settings], make)
     error, missed, farthest = np.asarray(found["limits"], dtype=np.float64).tolist()
     return Trained(
         modes=np.asarray(found["modes"], dtype=np.float64), points=np.asarray(found["points"], dtype=np.int64),
@@ -165,7 +175,7 @@ def _pressed(
     contact: SurfaceContact, follower: QuasiNewton, body: HeldBody, transfer: csr_array, tips_m: Array,
     rotations: Array, report: Progress,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Forces on the solved mesh [N], shape (s, n, 3), and displacements [m], shape (3n, s), of presses."""
+    """Forces on the touchable nodes [N], shape (s, t, 3), and displacements [m], shape (3n, s), of presses."""
     spread = csr_array(transfer.T)
     law = LawOffset(follower, body.fixed, transfer, interval_s=1.0)
     forces, moved, time_s = [], [], 0.0
@@ -185,13 +195,10 @@ def _pressed(
                 load = spread @ contact.result.nodal_forces_N
                 found = follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS)
                 if found.residual <= TOLERANCE:
-                    forces.append(load)
+                    forces.append(contact.result.nodal_forces_N.copy())
                     moved.append(found.displacement_m.ravel().copy())
     if not forces:
-        raise InputError(
-            "organ.law_method must be offset for a tool whose path does not touch the organ, got reduced: "
-            "lead the path into it"
-        )
+        return np.zeros((0, *contact.nodes_m.shape)), np.zeros((body.fixed.size, 0))
     return np.array(forces), np.stack(moved, axis=1)
 
 
