@@ -1,7 +1,7 @@
-"""Energy, stress and its tangent at some points of a body under laws of principal stretches, each with a volume of its own.
+"""Energy, stress and its tangent at some points of a body under laws of principal stretches, each with its own volume.
 
-The laws are those of ``kernels.tet_hyperelastic``. Who knows how far a displacement in a few modes stretches the body at
-the points needs neither nodes nor cells.
+The laws are those of ``kernels.tet_hyperelastic``. For a body that moves in a few modes, the gradients of these at
+the points are all that is needed: neither nodes nor cells.
 """
 
 import warp as wp

@@ -1,4 +1,4 @@
-"""Ways to follow a hyperelastic organ at 1 kHz: `python tests/bench/chart_reduced_law.py --out DIR [--speeds 20 100]`.
+"""Methods to follow a hyperelastic organ at 1 kHz: `python tests/bench/chart_reduced_law.py --out DIR [--speeds 20 100]`.
 
 The press of `chart_law`, neo-Hookean, Poisson's ratio 0.45, moving at each speed and at rest: by the linear law, by the
 offset that is solved between ticks, by reduced models of several sizes, and by Newton's method, which is the reference.
@@ -20,7 +20,7 @@ from tissue.scene.load import changed
 from tissue.simulation.simulate import simulate
 
 RATIO = 0.45
-WAYS = {
+METHODS = {
     "linear": [{}],
     "offset": [
         {"law_edge_ratio": 1.0},
@@ -34,8 +34,8 @@ WAYS = {
         {"law_sampling_error": 0.1},
     ],
 }
-"""Entries of [organ] by which each way differs from what it does unless told otherwise."""
-HEAD = ("way", "set", "speed mm/s", "modes", "points", "set-up s", "tick us", "99 %", "between ms", "99 %", "moving %",
+"""Entries of [organ] by which each method differs from what it does unless notices otherwise."""
+HEAD = ("method", "set", "speed mm/s", "modes", "points", "set-up s", "tick us", "99 %", "between ms", "99 %", "moving %",
         "at rest %", "surface %", "notices")  # fmt: skip
 TOUCHED_N = 1e-3
 """Force from which a tick counts."""
@@ -67,10 +67,10 @@ def measured(scene):
     return run, first[0] - started, np.array(ticks)[touched], np.array(between)[: len(touched)][touched]
 
 
-def row_of(way, speed, change, exact):
-    """What a way costs and how far off it is."""
-    law = {} if way == "linear" else {"law": "neo-hookean"}
-    if way == "reduced":
+def row_of(method, speed, change, exact):
+    """What a method costs and how far off it is."""
+    law = {} if method == "linear" else {"law": "neo-hookean"}
+    if method == "reduced":
         law["law_method"] = "reduced"
     scene = changed(scene_of(poisson_ratio=RATIO, **law, **change), {"motion.feed_mm_s": float(speed)})
     run, set_up_s, ticks, between = measured(scene)
@@ -79,14 +79,14 @@ def row_of(way, speed, change, exact):
     moving_N = np.interp(DEPTHS_M, depth_m[:down], force_N[:down])
     moving = np.linalg.norm(moving_N - exact.force_N) / np.linalg.norm(exact.force_N)
     rest = abs(force_N[-1] / exact.force_N[-1] - 1.0)
-    few = run.parts.tissue._law if way == "reduced" else None
+    few = run.parts.tissue._law if method == "reduced" else None
     size = (few._body.size, len(few._body.points)) if few else (0, 0)
     done = between[between > 1e-4]
     took = [1e3 * np.percentile(done, share) for share in (50, 99)] if len(done) else [0.0, 0.0]
     what = ", ".join(f"{name.removeprefix('law_')} {value:g}" for name, value in change.items()) or "as shipped"
-    told = "; ".join(each for _, each in run.events if "law" in each and "solving the law took" not in each)
-    row = [way, what, float(speed), *size, set_up_s, *(1e6 * np.percentile(ticks, share) for share in (50, 99)),
-           *took, 100.0 * moving, 100.0 * rest, 100.0 * surface_error(run, exact), told]  # fmt: skip
+    notices = "; ".join(each for _, each in run.events if "law" in each and "solving the law took" not in each)
+    row = [method, what, float(speed), *size, set_up_s, *(1e6 * np.percentile(ticks, share) for share in (50, 99)),
+           *took, 100.0 * moving, 100.0 * rest, 100.0 * surface_error(run, exact), notices]  # fmt: skip
     print(row, flush=True)
     return row
 
@@ -106,10 +106,10 @@ def draw(rows, speeds, path):
     shown += [("force at rest, error / %", 11, speeds[0]), ("surface at rest, error / %", 12, speeds[0])]
     looks = {"linear": ("0.4", "D"), "offset": ("#0072B2", "o"), "reduced": ("#D55E00", "s")}
     for axis, (label, column, speed) in zip(axes, shown, strict=True):
-        for way, (colour, marker) in looks.items():
-            some = [row for row in rows if row[0] == way and row[2] == speed]
+        for method, (colour, marker) in looks.items():
+            some = [row for row in rows if row[0] == method and row[2] == speed]
             axis.plot([row[7] for row in some], [max(row[column], 0.01) for row in some], color=colour, marker=marker,
-                      markersize=10, linestyle="none", label=way)  # fmt: skip
+                      markersize=10, linestyle="none", label=method)  # fmt: skip
             for row in some:
                 axis.annotate(row[1].replace("_", " "), (row[7], max(row[column], 0.01)), textcoords="offset points",
                               xytext=(9, 4), fontsize=9, color=colour)  # fmt: skip
@@ -131,9 +131,9 @@ def main():
     print(machine())
     exact = by_newton(scene_of(law="neo-hookean", poisson_ratio=RATIO))
     rows = [
-        row_of(way, speed, change, exact)
+        row_of(method, speed, change, exact)
         for speed in asked.speeds
-        for way, changes in WAYS.items()
+        for method, changes in METHODS.items()
         for change in changes
     ]
     with (asked.out / "reduced_law.csv").open("w", newline="") as file:

@@ -2,7 +2,8 @@
 
 Energy-conserving sampling and weighting (Farhat, Avery, Chapman and Cortial 2014, Int. J. Numer. Meth. Engng 98:625)
 takes whole elements; single integration points (Hernandez, Caicedo and Ferrer 2017, Comput. Methods Appl. Mech. Engrg
-313:687) are fewer evaluations for the same error. Weights that are not negative keep the energy of a stable law positive.
+313:687) are fewer evaluations for the same error. Weights that are not negative keep the energy of a stable law
+positive.
 """
 
 import numpy as np

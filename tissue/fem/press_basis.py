@@ -1,11 +1,11 @@
 """A basis of a pressed body: what the linear body does under the forces seen, and what large strains add.
 
-Both parts are proper orthogonal decompositions in the energy of the stiffness at rest. The linear answers must be in it:
-a contact adds the linear answer of what the basis misses, and would add twice what large strains have changed.
+Both parts are proper orthogonal decompositions in the energy of the stiffness at rest. The linear answers must be in
+it: a contact adds the linear answer of what the basis misses, and would add twice what large strains have changed.
 """
 
 import numpy as np
-from scipy.sparse import bsr_array
+from scipy.sparse import bsr_array, csr_array
 
 from meshes.base.arrays import Array
 
@@ -34,15 +34,15 @@ def press_basis(stiffness: bsr_array, linear_m: Array, moved_m: Array, size: int
     return np.concatenate([first, second], axis=1)
 
 
-def _evened(matrix: object, moved_m: Array) -> Array:
+def _evened(matrix: csr_array, moved_m: Array) -> Array:
     """Displacements over the root of their size, so that shallow ones count too."""
-    energy = np.einsum("us,us->s", moved_m, matrix @ moved_m)  # type: ignore[operator]
+    energy = np.einsum("us,us->s", moved_m, matrix @ moved_m)
     return moved_m / np.where(energy > 0.0, energy, 1.0) ** 0.25
 
 
-def _leading(matrix: object, moved_m: Array, size: int) -> Array:
+def _leading(matrix: csr_array, moved_m: Array, size: int) -> Array:
     """Leading modes of displacements, orthonormal in a matrix."""
-    gram = moved_m.T @ (matrix @ moved_m)  # type: ignore[operator]
+    gram = moved_m.T @ (matrix @ moved_m)
     values, vectors = np.linalg.eigh(0.5 * (gram + gram.T))
     kept = np.flatnonzero(values > LEAST * values[-1])[::-1][:size]
     return np.asarray(moved_m @ (vectors[:, kept] / np.sqrt(values[kept])))

@@ -1,9 +1,9 @@
 """A hyperelastic body that moves in a few modes, its energy summed over some of its points.
 
-With u = sum q_k phi_k, the gradient of u at a point is linear in q. Points x with volumes w of their own give the energy
-``sum w psi(I + grad u(x))``; forces and tangent are its derivatives, so a closed path does no work whatever points are
-taken, and rotations of the body cost what the modes make of them. With every Gauss point and its own volume it is the
-energy of the mesh in these modes.
+With u = sum q_k phi_k, the gradient of u at a point is linear in q. Points x with volumes w of their own give the
+energy ``sum w psi(I + grad u(x))``; forces and tangent are its derivatives, so a closed path does no work whatever
+points are taken. A rotation costs no energy where the modes hold it. With every Gauss point and its own volume it is
+the energy of the mesh in these modes.
 """
 
 import numpy as np
@@ -46,9 +46,9 @@ class SampledBody:
     ) -> None:
         at = gauss_points(space.order)
         slopes = np.einsum("aci,qi->qac", gradient_slopes(4, space.order), at)
-        own = np.repeat(space.volumes_m3 / len(at), len(at))
-        self.points = np.arange(len(own)) if points is None else points
-        self.volumes_m3 = own[self.points] if volumes_m3 is None else volumes_m3
+        volumes = np.repeat(space.volumes_m3 / len(at), len(at))
+        self.points = np.arange(len(volumes)) if points is None else points
+        self.volumes_m3 = volumes[self.points] if volumes_m3 is None else volumes_m3
         cell, place = np.divmod(self.points, len(at))
         corners = np.asarray(space.gradients[0].numpy())[cell]
         slope = np.einsum("pac,pcj->paj", slopes[place], corners)

@@ -163,7 +163,7 @@ class Organ(Part):
     exponent: float | None = Field(None, ge=-30, le=30, examples=[8.0])
     """Exponent of the stretches of an Ogden law of one term; not 0."""
     law_method: Literal["offset", "reduced"] = "offset"
-    """How such a law is followed: solved between ticks, or in every tick by a reduced model of presses along the path."""
+    """How such a law is followed: solved between ticks, or by a reduced model of presses along the path, every tick."""
     law_interval_ms: float = Field(25.0, ge=5, le=1000)
     """Time between two solves of a law that is not linear, or between two tangents of its reduced model."""
     law_basis_size: int = Field(40, ge=2, le=200)

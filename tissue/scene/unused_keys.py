@@ -204,12 +204,15 @@ def _organ(scene: "Scene") -> list[Rule]:
         ("organ.exponent", organ.law != "ogden", law, "set organ.law = ogden"),
         (
             "organ.law_method organ.law_interval_ms organ.law_edge_ratio",
-            organ.law == "linear", law, "set organ.law = neo-hookean",
+            organ.law == "linear",
+            law,
+            "set organ.law = neo-hookean",
         ),
         (
             "organ.law_basis_size organ.law_sampling_error",
             organ.law == "linear" or organ.law_method == "offset",
-            "without a reduced model of a law", "set organ.law_method = reduced",
+            "without a reduced model of a law",
+            "set organ.law_method = reduced",
         ),
         ("organ.basis_size", organ.path != "reduced", path, "set organ.path = reduced"),
         ("organ.material", given and not cited, both, "remove one of them"),

@@ -31,7 +31,7 @@ def test_the_error_is_that_of_the_sum_and_within_what_is_asked(tolerance):
     assert (weights > 0.0).all() and len(points) == len(set(points.tolist())) < 100
 
 
-def test_more_points_than_allowed_are_not_taken_and_the_error_is_told():
+def test_more_points_than_allowed_are_not_taken_and_the_error_is_stated():
     work = np.random.default_rng(2).normal(0.2, 1.0, (60, 500))
     points, _, error = few_points(work, 1e-6, 10)
     assert len(points) == 10

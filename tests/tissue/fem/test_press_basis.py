@@ -12,7 +12,12 @@ def presses(count: int):
     root = random.normal(size=(30, 30))
     stiffness = root @ root.T + 30.0 * np.eye(30)
     linear = np.linalg.solve(stiffness, random.normal(size=(30, count)))
-    return bsr_array(stiffness, blocksize=(3, 3)), stiffness, linear, linear + 0.3 * random.normal(size=(30, count)) / 60
+    return (
+        bsr_array(stiffness, blocksize=(3, 3)),
+        stiffness,
+        linear,
+        linear + 0.3 * random.normal(size=(30, count)) / 60,
+    )
 
 
 def test_modes_are_orthonormal_and_hold_what_was_seen():

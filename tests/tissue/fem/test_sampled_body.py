@@ -62,7 +62,7 @@ def test_a_closed_path_does_no_work():
 
 
 def test_a_rotation_that_a_mode_holds_costs_nothing_and_half_of_it_does():
-    """Objective on what the modes span: a rotation is not linear in an amount, so part of the way is a strain."""
+    """Objective on what the modes span: a rotation is not linear in an amount, so half of the amount is a strain."""
     space, factors, _, _ = parts(2, 3)
     turn = Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix()
     body = SampledBody(space, LAW, factors, (space.nodes_m @ (turn - np.eye(3)).T).reshape(-1, 1))

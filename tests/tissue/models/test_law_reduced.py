@@ -175,7 +175,7 @@ def model_of_path(tips, rotation, to):
 
 
 def test_ticks_that_do_not_converge_are_counted(monkeypatch):
-    """Where every step turns a point over, no tick goes on: each one in contact is told at the end."""
+    """Where every step turns a point over, no tick goes on: each one in contact is reported at the end."""
     tips, rotation = path(depth_m=1e-3)
     model = model_of(slab(SETTINGS), tips, rotation)
     assert isinstance(model._law, LawReduced)
@@ -183,9 +183,9 @@ def test_ticks_that_do_not_converge_are_counted(monkeypatch):
     monkeypatch.setattr(body, "energy_and_force", lambda amounts: (np.inf, 0.0 * amounts))
     driven(model, tips, rotation, hold=0)
     model.finish()
-    told = [each for each in model.notices if "did not converge" in each]
-    assert len(told) == 1
-    count, of = (int(word) for word in told[0].split() if word.isdigit())
+    counted = [each for each in model.notices if "did not converge" in each]
+    assert len(counted) == 1
+    count, of = (int(word) for word in counted[0].split() if word.isdigit())
     assert 0 < count == of < 30
 
 

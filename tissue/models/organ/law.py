@@ -73,7 +73,7 @@ def law_offset_of(
     contact
         The tool on them, at rest.
     tips_m, rotations, report
-        The tool's path, on which a reduced model is trained, and what is told of that.
+        The tool's path, on which a reduced model is trained, and what hears of that.
 
     Raises
     ------

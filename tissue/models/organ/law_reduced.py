@@ -57,11 +57,17 @@ class LawReduced:
         self._amounts = np.zeros(body.size)
         self._inner = np.zeros(body.size)
         self._offset = np.zeros((len(surface) // 3, 3))
-        self._take(np.linalg.inv(body.tangent(self._amounts)))
+        self._take(np.asarray(np.linalg.inv(body.tangent(self._amounts)), dtype=np.float64))
         self._next_s = interval_s
-        self._stale = self._deeper = self._elsewhere = self._told = False
+        self._stale = self._deeper = self._elsewhere = self._reported = False
         self._ticks = self._unsettled_ticks = self._outside_ticks = 0
         self.notices: list[str] = []
+
+    @property
+    def note(self) -> str:
+        """How it follows the law."""
+        points, error = len(self._body.points), self._training.error
+        return f"by {self._body.size} modes at {points} points, whose forces are {error:.1%} off, every tick, trained"
 
     @property
     def latest_m(self) -> Array:
@@ -107,8 +113,8 @@ class LawReduced:
         kept_J = float(np.sum((force[loaded] @ self._surface[loaded]) ** 2))
         missed = missed_share(linear_J, kept_J, self._training.farthest)
         self._elsewhere = missed > max(ELSEWHERE, 2.0 * self._training.missed)
-        if (self._elsewhere or self._deeper) and not self._told:
-            self._told = True
+        if (self._elsewhere or self._deeper) and not self._reported:
+            self._reported = True
             self.notices.append(
                 f"the organ is pressed {'deeper' if self._deeper else 'elsewhere'} than its reduced law was trained: "
                 "forces from here may be wrong, lead the path there or set organ.law_method = offset"

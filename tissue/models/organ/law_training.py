@@ -1,4 +1,4 @@
-"""What a reduced model of a hyperelastic organ is made from: equilibria of presses along the tool's path and beside it."""
+"""What a reduced model of a hyperelastic organ is made from: presses along the tool's path and beside it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ APART = 2
 """Steps from one equilibrium that is kept to the next."""
 MOST_KEPT, MOST_POINTS = 100, 600
 """Equilibria, and points."""
-LIGHT = 0.3
+LIGHT = 0.5
 """Size over the greatest trained below which a press is light: the linear law answers it."""
 TOLERANCE, STEPS = 1e-3, 60
 """Of an equilibrium: greatest force that is not balanced, over the greatest; most steps."""
@@ -186,10 +186,10 @@ def _pressed(
         contact.forget()
         for step, (tip, rotation) in enumerate(poses):
             report("pressing the organ to reduce its law", 0.5 * (number + step / len(poses)) / len(CORNERS))
-            beside = BESIDE * radius_m * (rotation[:, :2] @ np.array(corner)) / max(np.hypot(*corner), 1.0)
+            shift_m = BESIDE * radius_m * (rotation[:, :2] @ np.array(corner)) / max(np.hypot(*corner), 1.0)
             time_s += 1.0
             contact.shift(law.offset_m(time_s, 0.0))
-            contact.solve(tip + beside, rotation)
+            contact.solve(tip + shift_m, rotation)
             law.renew(time_s, 0.0, contact)
             if contact.result.contacts and (step % apart == 0 or step == len(poses) - 1):
                 load = spread @ contact.result.nodal_forces_N

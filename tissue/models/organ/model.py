@@ -181,6 +181,11 @@ class LiverModel:
             self.notices += self._law.notices
         self._fields.compute()
 
+    @property
+    def law_note(self) -> str:
+        """How the law is followed; nothing for a linear organ."""
+        return "" if self._law is None else self._law.note
+
     def displacement_m(self) -> Array:
         """Displacement of the touchable nodes in the last tick [m], shape (t, 3); NaN where it is not known."""
         moved = self.contact.result.displacement_m()
