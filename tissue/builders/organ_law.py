@@ -103,9 +103,12 @@ def organ_law(
     if found is None:
         return None
     if opens_device(scene):
+        waits = "solving the law takes longer than its interval"
+        if organ.law_method == "reduced":
+            waits = "a tangent of the law is taken, for more than a tick"
         raise InputError(
             f"device and organ.law must be left out together, got {scene.device} and {organ.law}: remove one, "
-            "a real device would wait where solving the law takes longer than its interval"
+            f"a real device would wait where {waits}"
         )
     law, factors = found
     interval_s, reduced = 1e-3 * organ.law_interval_ms, None

@@ -24,7 +24,7 @@ LAW = Hyperelastic.neo_hookean(LAME[1], bulk_Pa=LAME[0] + 2.0 / 3.0 * LAME[1])
 SETTINGS = ReducedSettings(modes=40, error=0.005)
 
 
-def slab(settings: ReducedSettings | None, turn: np.ndarray | None = None, cells=CELLS) -> SoftOrgan:
+def slab(settings: ReducedSettings | None, turn: np.ndarray | None = None, cells=CELLS, friction=0.0) -> SoftOrgan:
     """A slab held at its base, turned or mirrored as a whole."""
     mesh = box(SIZE_M, cells)
     nodes = mesh.nodes_m - [0.5 * SIZE_M[0], 0.5 * SIZE_M[1], SIZE_M[2]]
@@ -35,7 +35,7 @@ def slab(settings: ReducedSettings | None, turn: np.ndarray | None = None, cells
         tets = tets if np.linalg.det(turn) > 0.0 else tets[:, [1, 0, 2, 3]]
     law = OrganLaw(LAW, np.ones(len(tets)), 0.02, reduced=settings)
     elasticity = np.tile(LAME, (len(tets), 1))
-    return SoftOrgan(TetMesh(nodes, tets), elasticity, held, order=1, friction=0.0, law=law)
+    return SoftOrgan(TetMesh(nodes, tets), elasticity, held, order=1, friction=friction, law=law)
 
 
 def path(place=(0.0, 0.0), depth_m=DEPTH_M, turn=None) -> tuple[np.ndarray, np.ndarray]:
@@ -153,6 +153,33 @@ def test_a_turned_or_mirrored_slab_gives_the_same_force(turn):
         forces.append(force_N if each is None else each.T @ force_N)
     print(forces)
     assert np.linalg.norm(forces[1] - forces[0]) < 0.01 * np.linalg.norm(forces[0])
+
+
+def test_a_drag_with_friction_is_that_of_the_law():
+    """Down and 3 mm along: the force within 2 % of the law solved between ticks, sideways by most of the coefficient."""
+    down, rotation = path((-1.5e-3, 0.0), 3e-3)
+    along = np.array([down[1], down[1] + [3e-3, 0.0, 0.0]])
+    forces = []
+    for settings in (None, SETTINGS):
+        model = model_of(slab(settings, friction=0.3), down, rotation, more=along[1:])
+        driven(model, down, rotation, hold=0)
+        forces.append(dragged(model, along, rotation))
+    model.finish()
+    assert not model.notices
+    print(forces)
+    assert -forces[1][0] > 0.2 * forces[1][2]
+    assert np.linalg.norm(forces[1] - forces[0]) < 0.02 * np.linalg.norm(forces[0])
+
+
+def dragged(model, tips, rotation) -> np.ndarray:
+    """Force after a path of 100 ticks from where the tool is, shape (3,)."""
+    motion = ToolMotion(tip_m=tips[0].copy(), rotation=rotation)
+    for tick in range(1, 101):
+        motion.tip_m[:] = tips[0] + 0.01 * tick * (tips[1] - tips[0])
+        model.advance(motion)
+        model.respond(motion)
+        model.wait_for_background(model._ticks * TICK_S)
+    return model.contact.result.force_N.copy()
 
 
 def test_a_press_elsewhere_or_deeper_is_reported():
