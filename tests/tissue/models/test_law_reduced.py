@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from meshes.base.errors import InputError
 from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh
+from tissue.fem.sampled_body import SampledBody
 from tissue.materials.elasticity import lame
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ import law as law_module
@@ -138,6 +139,32 @@ def test_few_points_do_the_work_of_all_in_what_was_trained(monkeypatch):
     off = np.linalg.norm(work[:, points] @ weights - goal) / np.linalg.norm(goal)
     assert off == pytest.approx(error, rel=1e-6)
     assert off <= SETTINGS.error
+
+
+def test_rows_summed_with_random_signs_choose_points_and_the_error_is_that_over_all(monkeypatch):
+    """A fourth of the rows, of states that have nothing in common: 0.05 is asked, and what is left is stated."""
+    tips, rotation = path()
+    organ = slab(SETTINGS)
+    training = model_of(organ, tips, rotation)._law._training
+    whole = SampledBody(organ.space, LAW, np.ones(organ.space.cell_count), training.modes)
+    states = np.random.default_rng(2).normal(size=(24, whole.size)) * 0.05 * training.farthest
+    monkeypatch.setattr(law_training, "MOST_ROWS", states.size // 4)
+    points, volumes, error = law_training._sampled(whole, states, 0.05)
+    few = SampledBody(
+        organ.space, LAW, np.ones(organ.space.cell_count), training.modes, points=points, volumes_m3=volumes
+    )
+    off = [np.linalg.norm(few.energy_and_force(q)[1] - whole.energy_and_force(q)[1])
+           / np.linalg.norm(whole.energy_and_force(q)[1]) for q in states]  # fmt: skip
+    print(len(points), off)
+    assert error == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=1e-6)
+    assert error < 0.15
+
+
+def test_a_basis_that_misses_what_it_was_trained_on_says_so():
+    tips, rotation = path()
+    model = model_of(slab(ReducedSettings(modes=2, error=0.02)), tips, rotation)
+    driven(model, tips, rotation, hold=0)
+    assert "of a press that it was trained on" in model.notices[0]
 
 
 @pytest.mark.parametrize(
