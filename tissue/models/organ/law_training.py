@@ -216,7 +216,7 @@ def _steps(tips_m: Array, rotations: Array) -> list[tuple[Array, Array]]:
 
 
 def _sampled(body: SampledBody, states: Array, error: float) -> tuple[Ints, Array, float]:
-    """Few points that do the work of all in the states, shape (s, r), and the error that they leave over all of these."""
+    """Few points that do the work of all in states, shape (s, r), and the error that they leave over all of these."""
     count, random = len(body.points), np.random.default_rng(0)
     work = np.zeros((min(states.size, MOST_ROWS), count))
     row, sign = np.arange(states.size), np.ones(states.size)
