@@ -111,7 +111,7 @@ def test_at_a_small_depth_a_law_gives_the_force_of_the_linear_one():
     assert peaks[1] == pytest.approx(peaks[0], rel=0.01)
 
 
-def test_a_reduced_model_gives_the_force_of_the_law_and_says_what_it_is(monkeypatch, tmp_path):
+def test_a_reduced_model_gives_the_force_of_the_law_and_states_what_it_is(monkeypatch, tmp_path):
     """On a small slab, at 10 mm/s: within 1 % of the law solved between ticks."""
     monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
     runs = [

@@ -160,7 +160,7 @@ def test_rows_summed_with_random_signs_choose_points_and_the_error_is_that_over_
     assert error < 0.15
 
 
-def test_a_basis_that_misses_what_it_was_trained_on_says_so():
+def test_a_basis_that_misses_what_it_was_trained_on_is_reported():
     tips, rotation = path()
     model = model_of(slab(ReducedSettings(modes=2, error=0.02)), tips, rotation)
     driven(model, tips, rotation, hold=0)
