@@ -117,7 +117,7 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
         notes["gravity"] = f"the organ sags by up to {sag:.3g} mm before it is touched"
     if law is not None:
         on = soft if law.coarser is None else law.coarser[0]
-        notes["law"] = f"{organ.law}, solved every {organ.law_interval_ms:g} ms on {len(on.body.free)} unknowns"
+        notes["law"] = f"{organ.law}, {model.law_note} on {len(on.body.free)} unknowns"
     notes["solved"] = (
         f"{len(found.mesh.cells)} tetrahedra of order {organ.order}, {len(soft.body.free)} unknowns; "
         f"{touchable} touchable nodes, compliance {organ.path}"

@@ -16,15 +16,12 @@ from kernels.launcher import SplitLaunch
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.fem.pattern import local_pairs
-from tissue.fem.shapes import gradient_slopes
+from tissue.fem.shapes import gauss_points, gradient_slopes
 from tissue.fem.space import Space
 from tissue.materials.elasticity import elasticity_rows
 from tissue.materials.hyperelasticity import Hyperelastic
 
 __all__ = ["Law", "NonlinearBody"]
-
-GAUSS = 0.13819660112501052
-"""Barycentric coordinate of the four Gauss points that integrate quadratics: (5 - sqrt 5) / 20."""
 
 
 class Law(Enum):
@@ -62,7 +59,7 @@ class NonlinearBody:
         self.space, self.law = space, law
         self.nodes_m, device = space.nodes_m, space.device
         count, width = space.cell_nodes.shape
-        at = np.full((1, 4), 0.25) if space.order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
+        at = gauss_points(space.order)
         reference = np.einsum("aci,qi->qac", gradient_slopes(4, space.order), at)
         first, second = local_pairs(width).T
         pattern = space.pattern

@@ -10,7 +10,7 @@ import numpy as np
 
 from meshes.base.arrays import Array, Ints
 
-__all__ = ["EDGES", "TRIANGLE_EDGES", "gradient_products", "gradient_slopes", "mean_shape"]
+__all__ = ["EDGES", "TRIANGLE_EDGES", "gauss_points", "gradient_products", "gradient_slopes", "mean_shape"]
 
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
@@ -18,6 +18,14 @@ EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 
 TRIANGLE_EDGES = EDGES[:3]
 """The same for a triangle."""
+
+GAUSS = 0.13819660112501052
+"""Barycentric coordinate of the four Gauss points that integrate quadratics: (5 - sqrt 5) / 20."""
+
+
+def gauss_points(order: int) -> Array:
+    """Barycentric coordinates of a tetrahedron's points of equal weight, shape (1, 4) or, quadratic, (4, 4)."""
+    return np.full((1, 4), 0.25) if order == 1 else GAUSS + (1.0 - 4.0 * GAUSS) * np.eye(4)
 
 
 def gradient_slopes(corners: int, order: int) -> Array:

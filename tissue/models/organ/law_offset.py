@@ -99,6 +99,11 @@ class LawOffset:
         return self._offset
 
     @property
+    def note(self) -> str:
+        """How it follows the law."""
+        return f"solved every {1e3 * self.interval_s:g} ms"
+
+    @property
     def latest_m(self) -> Array:
         """The offset of the last tick [m], shape (t, 3)."""
         return self._offset

@@ -29,6 +29,7 @@ from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.contact_result import ContactOutcome
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.law_offset import LawOffset
+from tissue.models.organ.law_reduced import LawReduced
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 
 __all__ = ["LiverModel"]
@@ -76,7 +77,7 @@ class LiverModel:
         fields: OrganFields,
         prony: Prony | None = None,
         lazy: LazyCompliance | None = None,
-        law: LawOffset | None = None,
+        law: LawOffset | LawReduced | None = None,
         ball_radius_m: float | None = None,
         step_s: float = TICK_S,
     ) -> None:
@@ -175,7 +176,15 @@ class LiverModel:
         """Compute the fields of the frames."""
         if self._lazy is not None:
             self._lazy.stop()
+        if isinstance(self._law, LawReduced):
+            self._law.finish()
+            self.notices += self._law.notices
         self._fields.compute()
+
+    @property
+    def law_note(self) -> str:
+        """How the law is followed; nothing for a linear organ."""
+        return "" if self._law is None else self._law.note
 
     def displacement_m(self) -> Array:
         """Displacement of the touchable nodes in the last tick [m], shape (t, 3); NaN where it is not known."""

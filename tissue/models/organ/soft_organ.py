@@ -248,6 +248,11 @@ class SoftOrgan:
             held=self.held,
             interval_s=interval_s,
         )
+        surface_law = None
+        if law is not None:
+            surface_law = law_offset_of(
+                self, law, touchable, contact, tips_m=tips_m, rotations=rotations, report=report
+            )  # fmt: skip
         radius = probe.radius_m if isinstance(probe, SphereProbe) else None
         model = LiverModel(
             contact,
@@ -256,7 +261,7 @@ class SoftOrgan:
             fields=fields,
             prony=self.prony,
             lazy=lazy,
-            law=None if law is None else law_offset_of(self, law, touchable),
+            law=surface_law,
             ball_radius_m=radius,
             step_s=step_s,
         )
