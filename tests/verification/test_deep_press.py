@@ -4,58 +4,13 @@ Its volumetric part is kappa / 2 (J - 1)^2, ours kappa / 4 (J^2 - 1 - 2 ln J): t
 which is small at nu = 0.49.
 """
 
-import time
-
 import numpy as np
 import pytest
+from pressed_block import BULK_PA, DEPTHS_M, RADIUS_M, SHEAR_PA, our_presses, quarter, under
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import spsolve
 
-from meshes.tets.structured import graded, grid
-from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.newton import NewtonSolver
-from tissue.fem.obstacle import RigidSphere
 from tissue.fem.space import Space
-from tissue.materials.hyperelasticity import Hyperelastic
-
-RADIUS_M, WIDTH_M, SHEAR_PA, POISSON = 0.01, 0.04, 1000.0, 0.49
-DEPTHS_M = np.arange(1e-3, 8.1e-3, 1e-3)
-BULK_PA = 2.0 * SHEAR_PA * (1.0 + POISSON) / (3.0 * (1.0 - 2.0 * POISSON))
-
-
-def quarter(order: int, first: float, growth: float) -> tuple[Space, np.ndarray]:
-    """A quarter of a block, fine at its top corner under the ball, and its held components: base and symmetry."""
-    aside = graded(0.0, WIDTH_M, first, growth)
-    space = Space(grid(aside, aside, graded(0.0, -WIDTH_M, first, growth)[::-1]), order)
-    held = (np.abs(space.nodes_m) < 1e-12) & np.array([True, True, False])
-    held[space.nodes_m[:, 2] < -WIDTH_M + 1e-9] = True
-    return space, held
-
-
-def under(space: Space) -> np.ndarray:
-    """Nodes of the top face that the ball may touch."""
-    return np.flatnonzero((space.nodes_m[:, 2] > -1e-12) & (np.linalg.norm(space.nodes_m, axis=1) < 2.0 * RADIUS_M))
-
-
-def our_presses(
-    space: Space, held: np.ndarray, depths_m: np.ndarray = DEPTHS_M
-) -> tuple[np.ndarray, list[np.ndarray], list[float]]:
-    """Force of the quarter [N] and displacement [m] at each depth, and processor seconds of each solve."""
-    law = Hyperelastic.neo_hookean(SHEAR_PA, bulk_Pa=BULK_PA)
-    solver, top = NewtonSolver(NonlinearBody(space, None, law=law), held, tolerance=1e-6), under(space)
-    penalty = 10.0 * solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
-    ball = RigidSphere(top, penalty, radius_m=RADIUS_M, centre_m=np.array([0.0, 0.0, RADIUS_M]), tolerance=1e-4)
-    forces, shapes, seconds, now = [], [], [], None
-    for depth in depths_m:
-        start = time.process_time()
-        ball.move_to(np.array([0.0, 0.0, RADIUS_M - depth]))
-        solution = solver.solve(sphere=ball, start_m=now)
-        assert solution.converged
-        now = solution.displacement_m
-        shapes.append(now)
-        forces.append(solution.tool_force_N[2])
-        seconds.append(time.process_time() - start)
-    return np.array(forces), shapes, seconds
 
 
 def felupe_forces(fem, space: Space, held: np.ndarray, starts: list[np.ndarray], penalty_N_m: float) -> np.ndarray:

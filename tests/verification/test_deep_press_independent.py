@@ -8,8 +8,8 @@ at the least depth. The volumetric energy is kappa / 4 (J^2 - 1 - 2 ln J), as ou
 
 import numpy as np
 import pytest
+from pressed_block import our_presses, quarter
 from pressed_deep import DEPTHS_M, TURN, by_newton, moving_N, scene_of
-from test_deep_press import our_presses, quarter
 
 from tissue.simulation.simulate import simulate
 
