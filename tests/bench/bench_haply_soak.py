@@ -25,6 +25,7 @@ from tissue.hardware.haply import HaplyAdapter  # noqa: E402
 from tissue.hardware.mapped import MappedDevice  # noqa: E402
 from tissue.scene.hardware import Hardware  # noqa: E402
 from tissue.simulation.live.clock import WallClock  # noqa: E402
+from tissue.system.tick_priority import TickPriority  # noqa: E402
 
 TICK_S = 1e-3
 STIFFNESS_N_M = 700.0
@@ -66,7 +67,8 @@ def main():
         device = MappedDevice(HaplyAdapter(Hardware(address=service.url)), Hardware(), start_m=(0.0, 0.0, DEEP_M))
         began, sent = perf_counter(), 0
         with SafeDevice(device, limits=device.limits) as held:
-            soak = Soak(held, device.limits)
+            soak, priority = Soak(held, device.limits), TickPriority()
+            priority.begin()  # as a run has it
             soak.minute(WARM_S)
             np.percentile(soak.late_s, [50, 99, 100])
             gc.collect()
@@ -83,6 +85,7 @@ def main():
                     f"{1e3 * soak.skipped_s:10.1f}  {soak.missing:10d}  {share:18.1f}  {psutil.getloadavg()[0]:5.1f}",
                     flush=True,
                 )
+            priority.end()
             sent = service.get("sent")
         greatest, last = service.get("greatest_N"), service.commands()[-1][2]
     print(f"{soak.tick} ticks in {perf_counter() - began:.1f} s, {sent} frames, greatest force {greatest:.2f} N")

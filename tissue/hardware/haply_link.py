@@ -86,6 +86,7 @@ class HaplyLink:
         self._problem, self._order = "", StateOrder()
         self._wake, self._ended = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
+        self._sending = threading.Lock()  # nothing follows the zero of the end
 
     @property
     def version_text(self) -> str:
@@ -173,6 +174,10 @@ class HaplyLink:
         self._wake.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(0.15)
+        if self._thread is not None and self._sending.acquire(timeout=0.05):
+            with suppress(Exception):  # on a busy machine the thread may not have come to it
+                self._open_socket.send(force_frame(self.state.device_id, NO_FORCE, self._spelling))
+            self._sending.release()
         self._disconnect()
 
     def _run(self) -> None:
@@ -209,7 +214,9 @@ class HaplyLink:
 
     def _send(self, force_N: Triple) -> None:
         self._asked_s = perf_counter()
-        self._open_socket.send(force_frame(self.state.device_id, force_N, self._spelling))
+        with self._sending:
+            sent = NO_FORCE if self._ended.is_set() else force_N
+            self._open_socket.send(force_frame(self.state.device_id, sent, self._spelling))
 
     def _receive(self, seconds: float) -> bool:
         """Take the answer and all that came behind it; whether there was one in time."""

@@ -99,6 +99,7 @@ def test_a_device_that_loses_its_calibration_ends_the_run_without_force(service)
         wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
         service.status["calibrated"] = False
         wait_for(lambda _: False, adapter, (1.0, 0.0, 0.0))
+    wait_for(lambda _: not service.is_open)
     assert service.last_N() == (0.0, 0.0, 0.0)
 
 
@@ -126,6 +127,7 @@ def test_a_restart_of_the_service_is_survived_without_force_until_the_loop_pushe
         wait_for(lambda samples: len(samples) > 3 and service.sessions > sessions, adapter)
         assert next(force for _, number, force in service.commands if number > sessions) == (0.0, 0.0, 0.0)
         wait_for(lambda _: service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+    wait_for(lambda _: not service.is_open)
     assert service.last_N() == (0.0, 0.0, 0.0)
 
 
@@ -151,6 +153,7 @@ def test_late_dropped_and_broken_answers_take_the_force_off(service, fault):
         for name in fault:
             setattr(service, name, type(fault[name])())
         wait_for(lambda samples: len(samples) > 10, adapter, (0.0, 0.0, 0.0))
+    wait_for(lambda _: not service.is_open)
     assert service.last_N() == (0.0, 0.0, 0.0)
 
 
