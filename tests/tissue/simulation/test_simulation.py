@@ -122,7 +122,7 @@ def test_a_run_in_memory_writes_nothing(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_progress_names_what_is_done_and_never_falls_back():
     reported = []
-    scene = load_scene("milling", COARSE | {"duration_s": 3.0})
+    scene = load_scene("milling", COARSE | {"duration_s": 3.0, "voxels.margin_mm": 1.37})  # no other test's voxels
     simulate(scene, progress=lambda doing, share: reported.append((doing, share)))
     names = list(dict.fromkeys(doing for doing, _ in reported))
     assert names.index("building the anatomy") < names.index("voxelising") < names.index("simulating")
