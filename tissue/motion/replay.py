@@ -101,7 +101,9 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
         If the file is missing, lacks a column, holds values that are not finite, or its times do not increase.
     """
     if not is_file(path):
-        raise InputError(f"motion.file must be an existing table, got {path}: give a CSV such as a run's trace.csv")
+        raise InputError(
+            f"motion.file must be an existing file of poses, got {path}: give a CSV such as a run's trace.csv"
+        )
     if path.suffix.lower() in RECORDINGS:
         held = read_drilling(path, what="motion.file")
         _require_short(float(held.times_s[-1]), path)

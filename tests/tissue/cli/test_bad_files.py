@@ -145,7 +145,7 @@ POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n"
 @pytest.mark.parametrize(
     ("table", "sentence"),
     [
-        (None, "motion.file must be an existing table, got {path}: give a CSV such as a run's trace.csv"),
+        (None, "motion.file must be an existing file of poses, got {path}: give a CSV such as a run's trace.csv"),
         (
             "time_s,tool_x_mm\n0,0\n",
             "motion.file must have the columns tool_y_mm, tool_z_mm, tool_qx, tool_qy, "

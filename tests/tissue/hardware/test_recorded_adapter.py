@@ -37,7 +37,7 @@ def test_a_record_gives_a_pose_each_tick_and_none_after_the_last(tmp_path):
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (None, r"hardware\.address must be an existing table, got .*poses\.csv"),
+        (None, r"hardware\.address must be an existing file of poses, got .*poses\.csv"),
         ("time_s,tool_x_mm\n0,1\n", r"hardware\.address must have the columns"),
     ],
 )

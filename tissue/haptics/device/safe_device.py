@@ -144,13 +144,9 @@ class SafeDevice:
         self._time_s = time_s
         if self._stop is not None:
             raise self._stop
-        self._call = "read", (start := perf_counter())
-        try:  # as `_calling`, without the cost of a context manager in every tick
+        start = perf_counter()
+        with self._calling("read"):
             sample = self.device.read(time_s)
-        except Exception as error:
-            raise self._failed("read", error) from error
-        finally:
-            self._call = IDLE
         if self.in_process:
             return sample
         if self._lost is not None:
@@ -219,13 +215,8 @@ class SafeDevice:
         """One command, timed."""
         if not self.in_process:
             self._played = perf_counter() if any(force.tolist()) or any(torque.tolist()) else inf
-        self._call = ("command", perf_counter())
-        try:
+        with self._calling("command"):
             self.device.command(force, torque)
-        except Exception as error:
-            raise self._failed("command", error) from error
-        finally:
-            self._call = IDLE
 
     @contextmanager
     def _calling(self, name: str) -> Iterator[None]:
