@@ -89,19 +89,22 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
 
 
 def _pierced(run: Run) -> dict[str, float]:
-    """How far the needle went on after the capsule's puncture, and the force before and after it."""
-    puncture = next((time for time, what in run.events if "capsule" in what), None)
-    if puncture is None:
-        raise InputError("capsule must be punctured in a trial, got a hand that stopped before: see its threshold")
+    """How far the needle went on after the capsule's puncture, and the force before and after it.
+
+    A puncture that nobody notices is a result and no failure: ``noticed`` is 0 and the travel is that until the trial's
+    end, the least that it can be. A hand that stops before the puncture pierced nothing that could be measured.
+    """
+    puncture = next((time for time, what in run.events if "capsule" in what), inf)
     noticed = next((time for time, what in run.events if what == NOTICED), inf)
-    if not puncture <= noticed < inf:
+    if puncture == inf or noticed < puncture:
         raise InputError(
-            f"puncture at {puncture:g} s must be noticed after it in a trial, got {noticed:g} s: see the hand's "
-            "threshold"
+            f"capsule must be punctured before the hand stops in a trial, got a hand that stopped at {noticed:g} s: "
+            "see its threshold"
         )
     at, window = round(puncture / TICK_S), round(WINDOW_S / TICK_S)
     size = np.linalg.norm(run.trace.vectors("hand_force", "N"), axis=1)
     return {
+        "noticed": float(noticed < inf),
         "excess_mm": metrics.excess_travel_mm(-run.trace["tool_z_mm"], puncture_tick=at),
         "capsule_N": float(size[max(0, at - window) : at].mean()),
         "parenchyma_N": float(size[at + 1 : at + 1 + window].mean()),

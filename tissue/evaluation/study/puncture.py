@@ -113,8 +113,8 @@ def pierce(
     Parameters
     ----------
     scene
-        With a needle on a device. Its path gives the start and the direction; its hand, device, latency, predictor and
-        seed are used.
+        With a needle on a device. Its path gives the start, the direction and the depth at which a push ends that
+        nothing stops; its hand, device, latency, predictor and seed are used.
     kappa, offset_N
         Threshold of the person for forces, see `FeltDrop`.
     notice
@@ -148,7 +148,8 @@ def pierce(
     x, y, z = start.tolist()
     device = SimulatedDevice(limits, hand, position_m=(x, y, z))
     cue_after_s = 1e-3 * scene.coupling.delay_ms if cue else inf
-    bystander = _Bystander(hand, notice, cue_after_s=cue_after_s, frame_s=float(frames.uniform(0.0, FRAME_S)))
+    frame_s, length_m = float(frames.uniform(0.0, FRAME_S)), float(np.linalg.norm(end - start))
+    bystander = _Bystander(hand, notice, cue_after_s=cue_after_s, frame_s=frame_s, length_m=length_m)
     pushed = changed(scene, {"duration_s": LONGEST_S})
     run = simulate(pushed, cores=1, device=device, observer=bystander, allow_unstable=True)
     felt_N, aim_mm = np.array(bystander.rows).T
@@ -160,8 +161,10 @@ class _Bystander:
 
     timing_columns: tuple[str, ...] = ()
 
-    def __init__(self, hand: PushingHand, notice: Notice, *, cue_after_s: float, frame_s: float) -> None:
-        self._hand, self._notice = hand, notice
+    def __init__(
+        self, hand: PushingHand, notice: Notice, *, cue_after_s: float, frame_s: float, length_m: float
+    ) -> None:
+        self._hand, self._notice, self._length = hand, notice, length_m
         self._cue_after, self._frame = cue_after_s, frame_s
         self._cued = False
         self.puncture_s = inf
@@ -191,7 +194,7 @@ class _Bystander:
         if not self._cued and insertion.pull_N >= CUE_SHARE * self._needle.tissue.membranes[0].puncture_N:
             self._cued = True
             hand.cue(now + self._cue_after)
-        return now < hand.stop_s + AFTER_S
+        return now < hand.stop_s + AFTER_S and hand.advance_m < self._length
 
     def on_end(self) -> list[tuple[float, str]]:
         """When the hand noticed."""

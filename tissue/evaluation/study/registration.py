@@ -19,13 +19,16 @@ DESCRIBED = (
     "time_s: time to the end of the task, s, less is better",
     "acceleration_change_m_s2: mean change of acceleration, m/s2, less is smoother",
     "skin_N: force at the skin, from which discrimination (d' and right answers) follows, more is better",
-    "excess_mm: travel of a needle after its puncture, mm, less is better",
+    "excess_mm: travel of a needle after its puncture, mm, less is better; a puncture that nobody notices counts as "
+    "the longest travel, so that medians are compared",
+    "noticed: share of punctures that are noticed, 1, more is better",
     "composite index of the metrics by weights from their own spread, more is better",
 )
 """Measures that are reported with intervals and not tested."""
 EXCLUSIONS = (
     "no trial that did not fail is excluded, and no value is an outlier",
-    "a trial that failed under a method leaves that method's row out, with the sentence of its failure",
+    "a trial that failed under a method leaves that method's row out, with the sentence of its failure; a hand that stops "
+    "before the capsule breaks is one",
     "a person without a trial under every method that a test compares is left out of that test",
     "a method that gives another's value of a metric in every trial of a task is left out of that test",
 )

@@ -90,7 +90,7 @@ TASKS = {
         changes={
             "anatomy.interval_ms": 0.0,
             "anatomy.membrane_depths_mm": None,
-            "motion.points_mm": [[0, 0, 0.05], [0, 0, -40]],
+            "motion.points_mm": [[0, 0, 0.05], [0, 0, -60]],  # where a push ends that nobody stops
             "coupling.force_scale": 1.0,  # the force that the hand raises is the needle's
         },
         specimens=({},),
