@@ -35,7 +35,7 @@ def force(*judged):
 
 
 def test_five_sentences_and_three_pictures_are_made_of_the_data():
-    needle = table({"excess_mm": 1.2}, ("needle",), left=0.75)
+    needle = table({"excess_mm": 1.2, "noticed": 1.0}, ("needle",), left=0.75)
     sections = [discrimination(), force("agrees", "", "0.50 of it"), Section("registration", "", ("registered",))]
     found = found_section(table(METRICS), needle, sections)
     assert len(found.sentences) == 5 and all(each.count(". ") == 0 and each.endswith(".") for each in found.sentences)
@@ -43,7 +43,7 @@ def test_five_sentences_and_three_pictures_are_made_of_the_data():
     assert "mean over T1, T2, is penalty 8.0 % (2.0 %), energy 8.0 % (2.0 %), koopman 4.0 % (1.0 %)" in error
     assert "penalty +4.0 ms, energy +4.0 ms, koopman +2.0 ms" in latency
     assert "d′ over 1 pairs, is penalty 2.00 (+0 %), " in sensed and "koopman-enhanced 2.20 (+10 %)" in sensed
-    assert "penalty 1.20 mm" in overshoot and "(-25 % with prediction, the paper -31 %)" in overshoot
+    assert "penalty 1.20 mm (100 % noticed)" in overshoot and "prediction changes it by -25 %" in overshoot
     assert against == (
         "Of 2 figures held against the paper 1 do not agree: force fidelity T1 penalty 0.50 of it; nothing differs "
         "from the plan."

@@ -39,6 +39,7 @@ def planted(key, rng):
         "skin_N": (1.0 + 0.3 * (key.trial % 2)) * (1.0 + 0.01 * rng.random()),
         "level_N": (1.0 + 0.3 * (key.trial % 2)) * (1.0 + 0.01 * rng.random()),
         "excess_mm": 0.5,
+        "noticed": 1.0,
         "capsule_N": 2.1 + 0.01 * rng.random(),
         "parenchyma_N": 1.6,
         "tracking_rms_N": 1.0,

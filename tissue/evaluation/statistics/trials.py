@@ -187,6 +187,14 @@ class TrialTable:
         """Rows that did not fail."""
         return self._rows(self.failure == "")
 
+    def shared(self) -> "TrialTable":
+        """Rows of trials that failed under none of the table's methods, so that methods are compared on the same."""
+        names = np.array([f"{row}" for row in zip(self.task, self.people(), self.trial, strict=True)], dtype=object)
+        whole = self.failure == ""
+        every, counts = np.unique(names[whole], return_counts=True)
+        kept = every[counts == len(np.unique(self.method))]
+        return self._rows(whole & np.isin(names, kept))
+
     def cells(self, metric: str, *, within: Sequence[str] = ("method",)) -> Cells:
         """Means of a metric over each user's trials, by the factors that change within a user.
 

@@ -1,7 +1,6 @@
 """Sections of a report on the case studies."""
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
@@ -11,13 +10,13 @@ from tissue.evaluation.calibration.force_discrimination import (
 )
 from tissue.evaluation.calibration.simulated_observer import draw_observers
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.discrimination import PEOPLE, case_table, right_percent, sides, specimens
+from tissue.evaluation.study.discrimination import PEOPLE, case_table, right_percent, specimens
 from tissue.evaluation.study.folder import StudyFolder
+from tissue.evaluation.study.needle import needle_section
 from tissue.evaluation.study.paper import CASES
-from tissue.evaluation.study.section import Section, against, methods_of, spread
+from tissue.evaluation.study.section import Section, methods_of, spread
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
-from tissue.scene.registry import GROUPS
 
 __all__ = ["case_sections"]
 
@@ -26,39 +25,9 @@ TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 
 def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
     """The case studies that the folder holds."""
-    makers = {"needle": _needle, "reaming": _reaming, "drilling": _drilling}
+    makers = {"needle": needle_section, "reaming": _reaming, "drilling": _drilling}
     tables = {task: case_table(folder, task) for task in makers}
     return [makers[task](table, seed) for task, table in tables.items() if table is not None]
-
-
-def _needle(table: TrialTable, seed: int) -> Section:
-    """Excess travel by group and method, capsule or parenchyma."""
-    rows = []
-    papers = {"penalty": CASES["overshoot_penalty_mm"], "koopman": CASES["overshoot_koopman_mm"]}
-    for method, group in product(methods_of(table), (each for each in GROUPS if each in table.group)):
-        part = table.where(method=method, group=group).values("excess_mm")
-        rows.append((group, method, spread(part), *against(part, papers.get(method)), str(len(part))))
-    pair = sides(table.where(method=methods_of(table)[0]))
-    means = {m: float(table.where(method=m).values("excess_mm").mean()) for m in papers if m in table.method}
-    sentences = ["There are too few trials to discriminate capsule from parenchyma."]
-    if pair is not None:
-        wrong = {group: 100.0 - share for group, share in right_percent(pair, seed).items()}
-        text = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
-        sentences = [
-            f"Capsule ({pair[0].mean():.2f} N at the skin in the tenth of a second before its puncture) and parenchyma "
-            f"({pair[1].mean():.2f} N after) are confused by {text}; the paper prints less than 10 %: "
-            + ("so it is here." if max(wrong.values()) < 10.0 else "here it is more."),
-        ]
-    if len(means) == 2:
-        change = 100.0 * (means["koopman"] / means["penalty"] - 1.0) if means["penalty"] > 0.0 else 0.0
-        sentences.append(
-            f"After the puncture the tip goes on by {means['penalty']:.2f} mm without prediction and by "
-            f"{means['koopman']:.2f} mm with it ({change:+.0f} %; the paper prints -31 %). The hand pushes with a "
-            "rising force and stops a reaction after it has felt the force fall. What the springs of grip and coupling "
-            "give back at the puncture is part of this travel, whatever the reaction."
-        )
-    header = ("group", "method", "excess mm", "paper mm", "against paper", "trials")
-    return Section("case-needle", "Case: needle", tuple(sentences), header, tuple(rows))
 
 
 def _reaming(table: TrialTable, seed: int) -> Section:

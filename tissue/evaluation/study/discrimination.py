@@ -42,6 +42,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
         taken.append(("carious or sound", specimens, drilling))
     rows, shown, changes = [], {}, {}
     for what, levels, part in taken:
+        part = part.shared()
         methods = methods_of(part)
         pairs = {method: levels(part.where(method=method)) for method in methods}
         found = {method: pair for method, pair in pairs.items() if pair is not None}

@@ -6,7 +6,8 @@ import numpy as np
 
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.found_pictures import force_dots, index_dots, overshoot_dots, sensitivity_dots
-from tissue.evaluation.study.paper import CASES, LATENCY
+from tissue.evaluation.study.needle import PAPERS, as_text, median_interval, travel_by_people
+from tissue.evaluation.study.paper import LATENCY
 from tissue.evaluation.study.section import Section, methods_of, tasks_of
 
 __all__ = ["found_section"]
@@ -106,16 +107,24 @@ def _discrimination(sensitivity: Mapping[tuple[str, str], Sequence[float]]) -> s
 
 
 def _overshoot(needle: TrialTable | None) -> str:
-    """Travel of the needle after its puncture by method."""
-    if needle is None or "excess_mm" not in needle.metrics:
+    """Travel of the needle after its puncture by method: the median over people, of whom some do not notice it."""
+    if needle is None or "excess_mm" not in needle.metrics or not len(shared := needle.shared()):
         return "No overshoot after a puncture was measured, as the study has no trial of the needle."
-    means = {method: float(needle.where(method=method).values("excess_mm").mean()) for method in methods_of(needle)}
-    text = ", ".join(f"{method} {value:.2f} mm" for method, value in means.items())
-    paper = f"{CASES['overshoot_penalty_mm']} mm without prediction and {CASES['overshoot_koopman_mm']} mm with it"
+    travels = {method: travel_by_people(shared, method) for method in methods_of(shared)}
+    medians = {method: median_interval(travel)[0] for method, travel in travels.items()}
+    text = ", ".join(
+        f"{method} {as_text(medians[method])} "
+        f"({100.0 * float(shared.where(method=method).values('noticed').mean()):.0f} % noticed)"
+        for method in travels
+    )
+    paper = f"{PAPERS['penalty']} mm without prediction and {PAPERS['koopman']} mm with it, -31 %"
     change = ""
-    if means.get(BASELINE, 0.0) > 0.0 and PLAIN in means:
-        change = f" ({100.0 * (means[PLAIN] / means[BASELINE] - 1.0):+.0f} % with prediction, the paper -31 %)"
-    return f"After its puncture the needle goes on by {text}{change}, where the paper prints {paper}."
+    if 0.0 < medians.get(BASELINE, 0.0) < np.inf and np.isfinite(medians.get(PLAIN, np.inf)):
+        change = f"; prediction changes it by {100.0 * (medians[PLAIN] / medians[BASELINE] - 1.0):+.0f} %"
+    return (
+        f"After its puncture the needle goes on, in the median over people, by {text}{change}, where the paper prints "
+        f"{paper}."
+    )
 
 
 def _against(sections: Sequence[Section], registration: Section | None) -> str:

@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.paper import CASES, FORCE_ERROR
+from tissue.evaluation.study.needle import PAPERS, median_interval, travel_by_people
+from tissue.evaluation.study.paper import FORCE_ERROR
 from tissue.evaluation.study.section import (
     COLOURS,
     drawing,
@@ -72,16 +73,28 @@ def sensitivity_dots(sensitivity: Mapping[tuple[str, str], Sequence[float]]) -> 
 
 
 def overshoot_dots(needle: TrialTable) -> bytes:
-    """Travel after a puncture by method, with 95 % intervals over people and the paper's figures."""
-    methods = methods_of(needle)
+    """Travel after a puncture by method, the median over people with its 95 % interval, and the paper's figures.
+
+    An interval that reaches to people who do not notice the puncture ends at an arrow; how many trials are noticed
+    stands beside it.
+    """
+    shared = needle.shared()
+    methods = methods_of(shared)
     figure, (axes,) = drawing(WIDTH, LINE * len(methods) + 1.4)
-    papers = {"penalty": CASES["overshoot_penalty_mm"], "koopman": CASES["overshoot_koopman_mm"]}
+    found = {method: median_interval(travel_by_people(shared, method)) for method in methods}
+    longest = 1.15 * max((each for values in found.values() for each in values if np.isfinite(each)), default=1.0)
     for line, method in enumerate(methods):
-        _dot(axes, line, method, interval_by_users(needle, "excess_mm", method))
-        if paper := papers.get(method):
+        middle, low, high = found[method]
+        _dot(axes, line, method, (min(middle, longest), max(low, 0.0), min(high, longest)))
+        if high > longest:
+            axes.plot(longest, line, ">", color=COLOURS[method], ms=10)
+        share = 100.0 * float(shared.where(method=method).values("noticed").mean())
+        axes.text(1.04 * longest, line, f"{share:.0f} %", va="center", fontsize=LETTERS)
+        if paper := PAPERS.get(method):
             axes.errorbar(paper.mean, line + 0.28, xerr=paper.spread, fmt="x", color="black", ms=9, mew=2, lw=1.5)
     _methods_axis(axes, methods, named=True)
-    axes.set_xlim(left=0.0)
+    axes.set_xlim(0.0, 1.14 * longest)
+    axes.set_title("noticed", loc="right", fontsize=LETTERS)
     axes.set_xlabel("travel after the puncture / mm   × paper ± sd", fontsize=LETTERS)
     return image(figure)
 

@@ -27,8 +27,8 @@ DESCRIBED = (
 """Measures that are reported with intervals and not tested."""
 EXCLUSIONS = (
     "no trial that did not fail is excluded, and no value is an outlier",
-    "a trial that failed under a method leaves that method's row out, with the sentence of its failure; a hand that stops "
-    "before the capsule breaks is one",
+    "a trial that failed under a method leaves that method's row out, with the sentence of its failure; a hand that "
+    "stops before the capsule breaks is one",
     "a person without a trial under every method that a test compares is left out of that test",
     "a method that gives another's value of a metric in every trial of a task is left out of that test",
 )
