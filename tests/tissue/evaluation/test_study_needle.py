@@ -62,7 +62,7 @@ def test_a_method_is_not_better_for_losing_those_who_miss_it():
 
 
 @pytest.mark.parametrize("people", [6, 9, 17, 30])
-def test_the_interval_of_a_median_holds_it_as_often_as_it_says(people):
+def test_the_interval_of_a_median_holds_it_at_its_rate(people):
     """By drawing: it holds the median in 95 % at least, and one rank further in in less."""
     values = np.random.default_rng(people).standard_exponential((4000, people))
     bounds = np.array([median_interval(each)[1:] for each in values])
@@ -89,6 +89,6 @@ def test_methods_are_compared_on_the_same_trials():
     assert len(before) == len(after) == 3
 
 
-def test_where_no_trial_is_whole_it_is_said():
+def test_where_no_trial_is_whole_it_is_stated():
     rows = [row(0, 0, "penalty", 5.0), row(1, 0, "koopman", 5.0)]
     assert needle_section(TrialTable.from_rows(rows), 0).sentences[1].startswith("There is no trial in which")

@@ -12,8 +12,8 @@ CHOSEN_AFTER = (
     "the needle is pushed by a rising force and stopped by a reaction, where a first study turned it round at a depth "
     "of its script",
     "what of a run counts as its error of force acts at the motor, where earlier studies took the force before it",
-    "ratios of intensity are taken in windows that lie in contact whole, where a study of 180 trials took those half in "
-    "contact too",
+    "ratios of intensity are taken in windows that lie in contact whole, where a study of 180 trials took those half "
+    "in contact too",
     "a puncture that nobody notices counts as the longest travel and a push ends at a depth of 60 mm, where a study of "
     "180 trials left such trials out",
 )
