@@ -104,7 +104,7 @@ def test_a_middleware_that_ends_leaves_the_run_whole(tmp_path, monkeypatch, no_d
     run = run_live(load_scene("wall", {**SCENE, "duration_s": 1.5}), ros2=True)
     assert len(run.trace.rows) == 1500
     assert [what for _, what in run.events if "ROS 2" in what] == [
-        "the topics of ROS 2 ended by themselves: RuntimeError: the middleware is gone"
+        "publishing for ROS 2 ended by itself: RuntimeError: the middleware is gone"
     ]
 
 

@@ -1,22 +1,16 @@
 """A live run on topics of ROS 2: a process beside the ticks that publishes it by the names of CRTK."""
 
-from collections.abc import Callable
 from importlib.util import find_spec
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from tissue.builders.parts import Parts
-from tissue.scene.scene import Scene
-from tissue.simulation.live.window import WindowProcess
-from tissue.simulation.simulate import RunObserver, TakesEvents
+from tissue.simulation.live.publisher import Publisher, PublishingProcess
 
 __all__ = ["Ros2Observer", "Ros2Process", "require_ros2"]
 
-LOOK_TICKS = 200
-"""Ticks between two looks whether the process is still there."""
 NO_CLOCK = (0.0, 0.0, 0.0, 0.0)
 """What is sent of the clock: nobody is shown it."""
 PACKAGES = ("rclpy", "geometry_msgs")
@@ -39,7 +33,7 @@ def require_ros2() -> None:
         )
 
 
-class Ros2Process(WindowProcess):
+class Ros2Process(PublishingProcess):
     """What publishes a run on topics, as the ticks see it: rows go out, nothing comes back."""
 
     module = "tissue.links.ros2"
@@ -52,70 +46,13 @@ class Ros2Process(WindowProcess):
         return f"published {int(self.frames)} times as {self.address}"
 
 
-class Ros2Observer:
-    """Goes along with a live run and publishes it; the ticks never wait for it, and go on without it.
+class Ros2Observer(Publisher[Ros2Process]):
+    """Publishes a live run on topics; arguments as for `Publisher`."""
 
-    Parameters
-    ----------
-    scene
-        What is run.
-    along
-        The run's other observer.
-    box
-        Gives the corners of the box about the path [m].
+    what = "publishing for ROS 2"
 
-    Attributes
-    ----------
-    note
-        What was published, once the run has ended.
-    """
+    def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> Ros2Process:
+        return Ros2Process(self._scene, parts, columns, low_m=low_m, high_m=high_m)
 
-    def __init__(self, scene: Scene, along: RunObserver, *, box: Callable[[Parts], tuple[Array, Array]]) -> None:
-        self.timing_columns = along.timing_columns
-        self.note = ""
-        self._scene, self._along, self._box = scene, along, box
-        self._process: Ros2Process | None = None
-        self._failed: list[tuple[float, str]] = []
-
-    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Begin to publish."""
-        low, high = self._box(parts)
-        self._process = Ros2Process(self._scene, parts, columns, low_m=low, high_m=high)
-        try:
-            self._along.on_begin(parts, columns)
-        except BaseException:
-            self._process.end()
-            raise
-
-    def before_tick(self, index: int) -> None:
-        """Wait with the other observer."""
-        self._along.before_tick(index)
-
-    def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Publish the tick; whether the run goes on."""
-        process = self._process
-        if process is not None:
-            process.show(index, row, NO_CLOCK)
-            if index % LOOK_TICKS == 0 and (words := process.failed()) is not None:
-                self._failed.append((float(row[0]), f"the topics of ROS 2 ended by themselves: {words}"))
-                self._end()
-        return self._along.on_tick(index, row, times)
-
-    def on_event(self, time_s: float, what: str) -> None:
-        """Hand on what has happened."""
-        along: Any = self._along
-        if isinstance(along, TakesEvents):
-            along.on_event(time_s, what)
-
-    def on_end(self) -> list[tuple[float, str]]:
-        """End the other observer and the topics."""
-        try:
-            return self._along.on_end() + self._failed
-        finally:
-            self._end()
-
-    def _end(self) -> None:
-        if self._process is not None:
-            process, self._process = self._process, None
-            process.end()
-            self.note = process.note()
+    def _show(self, process: Ros2Process, index: int, row: Array, times: Array) -> None:
+        process.show(index, row, NO_CLOCK)

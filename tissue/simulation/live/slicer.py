@@ -3,7 +3,6 @@
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,8 @@ from tissue.builders.parts import Parts
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
+from tissue.simulation.live.publisher import Publisher, PublishingProcess
 from tissue.simulation.live.shared import AnyArray, Layout
-from tissue.simulation.live.window import WindowProcess
 from tissue.simulation.run import DEADLINE_US
 from tissue.simulation.simulate import RunObserver
 
@@ -27,8 +26,6 @@ PORT = 18944
 LOCAL = "127.0.0.1"
 EVENTS, EVENT_BYTES = 64, 256
 """How many events are kept until they are sent, and how long each may be."""
-LOOK_TICKS = 200
-"""Ticks between two looks whether the process is still there."""
 Array = NDArray[np.float64]
 
 
@@ -74,7 +71,7 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
         ) from None
 
 
-class SlicerProcess(WindowProcess):
+class SlicerProcess(PublishingProcess):
     """What publishes a run, as the ticks see it: rows and events out, the wanted pose of the tool in.
 
     Parameters
@@ -138,27 +135,20 @@ class SlicerProcess(WindowProcess):
         return ", ".join(words)
 
 
-class SlicerObserver:
-    """Goes along with a live run and publishes it; the ticks never wait for it.
+class SlicerObserver(Publisher[SlicerProcess]):
+    """Publishes a live run for 3D Slicer, a client of which may move the tool; further arguments as for `Publisher`.
+
+    The last columns of timing of the other observer are how late a tick began and what was skipped [µs].
 
     Parameters
     ----------
-    scene
-        What is run.
-    along
-        The run's other observer, whose last columns of timing are how late a tick began and what was skipped [µs].
     link
         How it is linked.
-    box
-        Gives the corners of the box in which a client may move the tool [m].
     mouse
-        The device that a client's transform moves; None for none.
-
-    Attributes
-    ----------
-    note
-        What was published, once the run has ended.
+        The device that a client's transform moves, with which the run ends where the link does; None for none.
     """
+
+    what = "the link to 3D Slicer"
 
     def __init__(
         self,
@@ -169,30 +159,21 @@ class SlicerObserver:
         box: Callable[[Parts], tuple[Array, Array]],
         mouse: MouseDevice | None = None,
     ) -> None:
-        self.timing_columns = along.timing_columns
-        self.note = ""
-        self._scene, self._along, self._link, self._box, self._mouse = scene, along, link, box, mouse
-        self._process: SlicerProcess | None = None
-        self._failed: list[tuple[float, str]] = []
+        super().__init__(scene, along, box=box)
+        self._link, self._mouse, self.ends_run = link, mouse, mouse is not None
         self._missed, self._skipped_us = 0, 0.0
 
-    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Begin to publish."""
-        low, high = self._box(parts)
-        options: dict[str, Any] = {"low_m": low, "high_m": high, "link": self._link}
-        self._process = SlicerProcess(self._scene, parts, columns, **options)
+    def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> SlicerProcess:
         self._start, self._scale = parts.motion.sweep_m()[0], self._scene.coupling.motion_scale
-        try:
-            if self._link.opened is not None:
-                self._link.opened(self._process.address)
-            self._along.on_begin(parts, columns)
-        except BaseException:
-            self._process.end()
-            raise
+        return SlicerProcess(self._scene, parts, columns, low_m=low_m, high_m=high_m, link=self._link)
+
+    def _on_opened(self, process: SlicerProcess) -> None:
+        if self._link.opened is not None:
+            self._link.opened(process.address)
 
     def before_tick(self, index: int) -> None:
         """Wait with the other observer; take where a client wants the tool by then."""
-        self._along.before_tick(index)
+        super().before_tick(index)
         if self._mouse is None or self._process is None:
             return
         wanted = self._process.target()
@@ -200,37 +181,11 @@ class SlicerObserver:
             x, y, z = (self._start + (np.array(wanted[0]) - self._start) / self._scale).tolist()
             self._mouse.push((x, y, z), wanted[1])
 
-    def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Show the tick; whether the run goes on, which it does without the link unless that moves the tool."""
-        goes_on = self._along.on_tick(index, row, times)
-        process = self._process
-        if process is None:
-            return goes_on
+    def _show(self, process: SlicerProcess, index: int, row: Array, times: Array) -> None:
         tick_us, late_us, skipped_us = float(times[0]), float(times[-2]), float(times[-1])
         self._missed += tick_us + late_us > DEADLINE_US
         self._skipped_us += skipped_us
         process.show(index, row, (tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us))
-        if index % LOOK_TICKS == 0 and (words := process.failed()) is not None:
-            what = "the link to 3D Slicer ended by itself" + (", and the run with it" if self._mouse else "")
-            self._failed.append((float(row[0]), f"{what}: {words}"))
-            self._end()
-            return goes_on and self._mouse is None
-        return goes_on
 
-    def on_event(self, time_s: float, what: str) -> None:
-        """Publish what has happened."""
-        if self._process is not None:
-            self._process.report(f"{time_s:.3f} s: {what}")
-
-    def on_end(self) -> list[tuple[float, str]]:
-        """End the other observer and the link."""
-        try:
-            return self._along.on_end() + self._failed
-        finally:
-            self._end()
-
-    def _end(self) -> None:
-        if self._process is not None:
-            process, self._process = self._process, None
-            process.end()
-            self.note = process.note()
+    def _report(self, process: SlicerProcess, time_s: float, what: str) -> None:
+        process.report(f"{time_s:.3f} s: {what}")
