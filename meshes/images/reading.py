@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.errors import InputError, by, is_folder, require_file, require_positive
+from meshes.base.errors import InputError, by, is_file, is_folder, require_file, require_positive
 from meshes.images.dicom import read_dicom
 from meshes.images.frame import Image, StoredImage, along_lps
 from meshes.images.metaimage import read_metaimage
@@ -14,7 +14,7 @@ from meshes.images.nifti import read_nifti
 from meshes.images.nrrd import read_nrrd
 from meshes.images.vtk import read_vtk_image
 
-__all__ = ["Image", "read_image"]
+__all__ = ["Image", "read_image", "require_image_name"]
 
 _READERS = {
     ".nii": read_nifti,
@@ -90,10 +90,21 @@ def _stored(path: Path, series: int | None) -> StoredImage:
         return read_dicom(path, series=series)
     if series is not None:
         raise InputError(f"series must be left out for a file, got {series} for {path.name}: it holds one image")
-    for suffix, read in _READERS.items():
-        if path.name.lower().endswith(suffix):
-            return read(path)
-    raise InputError(f"file must be an image volume of a known format, got {path.name}: {_REMEDY}")
+    require_image_name(path)
+    return next(read for suffix, read in _READERS.items() if path.name.lower().endswith(suffix))(path)
+
+
+def require_image_name(path: Path) -> None:
+    """Refuse a file whose name ends as none of an image volume does; folders and patterns are left to their readers.
+
+    Raises
+    ------
+    InputError
+        Names the formats.
+    """
+    known = (*_READERS, ".tif", ".tiff")
+    if is_file(path) and not path.name.lower().endswith(known):
+        raise InputError(f"file must be an image volume of a known format, got {path.name}: {_REMEDY}")
 
 
 def _tiff_slices(path: Path) -> list[Path]:

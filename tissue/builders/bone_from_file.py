@@ -156,7 +156,10 @@ def _site(parameters: AnatomyFile, surface: "Surface") -> "Site":
 
 def _threshold(parameters: AnatomyFile) -> float:
     """Grey value of an image above which a voxel is bone."""
+    from meshes.images.reading import require_image_name
+
     if parameters.threshold is None:
+        require_image_name(Path(parameters.file or ""))
         raise InputError(
             f"anatomy.threshold must be given for an image, got nothing for {parameters.file}: "
             "set the grey value above which a voxel is bone"

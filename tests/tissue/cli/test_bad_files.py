@@ -132,6 +132,13 @@ def test_a_surface_of_absurd_scale_is_refused(refused, here):
     )
 
 
+def test_what_is_no_image_is_not_asked_for_a_threshold(refused, here):
+    (here / "notes.txt").write_text("a list", "utf-8")
+    assert refused("run", "milling", "--set", "anatomy.file=notes.txt").startswith(
+        "file must be an image volume of a known format, got notes.txt: use a .nii.gz"
+    )
+
+
 def test_an_image_needs_a_threshold(refused, here):
     assert refused("run", "milling", "--set", "anatomy.file=bone.mhd") == (
         f"anatomy.threshold must be given for an image, got nothing for {here / 'bone.mhd'}: set the grey value above "
