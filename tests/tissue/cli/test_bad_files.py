@@ -135,7 +135,7 @@ def test_a_surface_of_absurd_scale_is_refused(refused, here):
 def test_what_is_no_image_is_not_asked_for_a_threshold(refused, here):
     (here / "notes.txt").write_text("a list", "utf-8")
     assert refused("run", "milling", "--set", "anatomy.file=notes.txt").startswith(
-        "file must be an image volume of a known format, got notes.txt: use a .nii.gz"
+        "anatomy.file must be an image volume of a known format, got notes.txt: use a .nii.gz"
     )
 
 

@@ -6,7 +6,7 @@ import pytest
 from tissue.evaluation.calibration.force_discrimination import Stimulus, chance_right, sensitivity, share_right
 from tissue.evaluation.calibration.simulated_observer import draw_observers
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.discrimination import changes_of, sides, specimens
+from tissue.evaluation.study.felt_pairs import FeltPair, changes_of, sides, specimens
 from tissue.evaluation.study.measures import intensity_ratios
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.observer import Observer
@@ -40,29 +40,50 @@ def level(mean, scatter, rng, count=40):
     return mean + scatter * rng.standard_normal(count)
 
 
+def pair_of(first, second, scatter, rng, count=40):
+    return FeltPair(level(first, scatter, rng, count), level(second, scatter, rng, count))
+
+
+def doubled(pair):
+    return FeltPair(2.0 * pair.less, 2.0 * pair.more)
+
+
 def test_the_same_forces_change_nothing_and_a_planted_gain_is_found():
     """Everything doubled behind the person's noise: by hand, d' grows by 2 (F + o) / (2 F + o) without scatter."""
     rng = np.random.default_rng(0)
     people = draw_observers("novice", 100, rng)
-    pair = level(0.1, 0.0, rng), level(0.11, 0.0, rng)
-    assert changes_of(people, pair, pair, rng) == pytest.approx(np.zeros((2, 3)))
-    found = changes_of(people, pair, (2.0 * pair[0], 2.0 * pair[1]), rng)
+    pair = pair_of(0.1, 0.11, 0.0, rng)
+    assert changes_of(people, pair, pair, rng) == pytest.approx(np.zeros((3, 3)))
+    found = changes_of(people, pair, doubled(pair), rng)
     plain = 0.01 / (people.kappa * (0.1 + people.offset_N))
-    doubled = 0.02 / (people.kappa * (0.2 + people.offset_N))
-    assert found[0, 0] == pytest.approx(100.0 * (doubled.mean() / plain.mean() - 1.0), rel=1e-6)
-    assert found[0, 1] > 0.0 and found[1, 1] > 0.0
+    twice = 0.02 / (people.kappa * (0.2 + people.offset_N))
+    assert found[1, 0] == pytest.approx(100.0 * (twice.mean() / plain.mean() - 1.0), rel=1e-6)
+    assert found[0, 0] == pytest.approx(0.954 * (twice.mean() - plain.mean()), rel=1e-3)
+    assert (found[:, 1] > 0.0).all()
+    # A fifth more of difference on the same weaker force is a fifth more of d'.
+    wider = FeltPair(pair.less, pair.less + 1.2 * (pair.more - pair.less))
+    assert changes_of(people, pair, wider, rng)[1] == pytest.approx(np.full(3, 20.0), abs=1e-6)
 
 
 def test_a_gain_helps_less_where_the_scatter_grows_with_it():
     rng = np.random.default_rng(1)
     people = draw_observers("novice", 100, rng)
-    still = level(0.3, 0.0, rng), level(0.36, 0.0, rng)
-    loose = level(0.3, 0.1, rng), level(0.36, 0.1, rng)
-    gains = [changes_of(people, pair, (2.0 * pair[0], 2.0 * pair[1]), rng)[0, 0] for pair in (still, loose)]
+    still, loose = (pair_of(0.3, 0.36, scatter, rng) for scatter in (0.0, 0.1))
+    gains = [changes_of(people, pair, doubled(pair), rng)[1, 0] for pair in (still, loose)]
     assert 0.0 < gains[1] < 0.5 * gains[0]
 
 
-def trials(per_person, *, scatter=0.02, nested=False, people=10, seed=0, difference=0.1):
+def test_who_goes_by_force_is_wrong_where_the_stiffer_one_is_felt_as_weaker():
+    """Two that change places have the opposite d' and the other answers; one that does is no gain."""
+    rng = np.random.default_rng(3)
+    people = draw_observers("expert", 60, rng)
+    pair = pair_of(0.5, 0.6, 0.02, rng)
+    (d, right), (turned, wrong) = pair.felt_by(people), FeltPair(pair.more, pair.less).felt_by(people)
+    assert turned == pytest.approx(-d) and wrong == pytest.approx(1.0 - right) and (d > 0.0).all()
+    assert changes_of(people, pair, FeltPair(pair.more, pair.less), rng)[0, 2] < 0.0
+
+
+def trials(per_person, *, scatter=0.02, nested=False, people=10, seed=0, difference=0.1, after=0.0):
     """Trials of people whose forces differ by up to three times, on three specimens in turn."""
     rng, rows = np.random.default_rng(seed), []
     for user in range(people):
@@ -72,22 +93,34 @@ def trials(per_person, *, scatter=0.02, nested=False, people=10, seed=0, differe
             rows.append({
                 "task": "T1", "group": "novice", "user": f"{user:02d}", "trial": trial, "seed": 0, "method": "koopman",
                 "specimen": specimen, "skin_N": usual + difference * specimen + scatter * rng.standard_normal(),
-                "capsule_N": usual + 0.4 + scatter * rng.standard_normal(), "parenchyma_N": usual,
+                "capsule_N": usual + 0.4 + scatter * rng.standard_normal(), "parenchyma_N": usual + (after * rng.standard_normal() if after else 0.0),
             })  # fmt: skip
     return TrialTable.from_rows(rows)
 
 
 def test_what_people_differ_by_is_no_scatter_of_a_specimen():
-    less, more = specimens(trials(9))
-    assert more.mean() - less.mean() == pytest.approx(0.1, abs=0.01)
-    assert np.std(less, ddof=1) == pytest.approx(0.02, rel=0.3) == np.std(more, ddof=1)
-    before, after = sides(trials(9))
-    assert before.mean() - after.mean() == pytest.approx(0.4, abs=0.01) and before.std() < 0.03
+    pair = specimens(trials(9))
+    assert pair.more.mean() - pair.less.mean() == pytest.approx(0.1, abs=0.01) and not pair.together
+    assert np.std(pair.less, ddof=1) == pytest.approx(0.02, rel=0.3) == np.std(pair.more, ddof=1)
+    pair = sides(trials(9))
+    assert pair.more.mean() - pair.less.mean() == pytest.approx(0.4, abs=0.01) and pair.more.std() < 0.03
+    assert pair.together and (pair.drawn(np.random.default_rng(0), (9, 9))[0] == pair.drawn(
+        np.random.default_rng(0), (9, 9))[1]).all()  # fmt: skip
+
+
+def scatter_of(pairs):
+    """Root mean square over studies of the scatter about each level."""
+    both = [[pair.less - pair.less.mean(), pair.more - pair.more.mean()] for pair in pairs]
+    return np.sqrt(np.mean([np.mean([np.var(each, ddof=1) for each in two]) for two in both]))
 
 
 def test_the_scatter_that_is_stated_is_on_the_average_the_planted_one():
-    found = [np.std(np.concatenate([each - each.mean() for each in specimens(trials(3, seed=k))])) for k in range(200)]
-    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(0.02, rel=0.05)
+    """Also with one push a person, where the person's own mean takes half of what two forces scatter."""
+    found = [specimens(trials(3, seed=k)) for k in range(200)]
+    assert scatter_of(found) == pytest.approx(0.02, rel=0.05)
+    for pushes in (1, 4):
+        found = [sides(trials(pushes, seed=k, after=0.02)) for k in range(200)]
+        assert scatter_of(found) == pytest.approx(0.02, rel=0.06)
 
 
 def test_people_who_met_one_specimen_each_cannot_be_separated_from_it():
@@ -102,7 +135,7 @@ def test_null_changes_are_called_at_their_nominal_rate():
     for seed in range(studies):
         rng = np.random.default_rng(seed)
         people = draw_observers("novice", 50, rng)
-        plain, other = ((level(0.5, 0.05, rng), level(0.6, 0.05, rng)) for _ in range(2))
+        plain, other = (pair_of(0.5, 0.6, 0.05, rng) for _ in range(2))
         _, low, high = changes_of(people, plain, other, rng)[0]
         called += low > 0.0 or high < 0.0
     assert 0.01 <= called / studies <= 0.1

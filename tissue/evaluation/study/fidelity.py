@@ -29,6 +29,8 @@ RATIOS = {
     "ratio_silent": "without any change / %",
 }
 """Columns on ratios of intensity; folders of older studies have the first two."""
+UNRESOLVED = 0.05
+"""Share of rows with a least error above the error, above which the excess is named as no measure."""
 Parts = dict[tuple[str, str], TrialTable]
 
 
@@ -59,6 +61,7 @@ def force_section(table: TrialTable) -> Section:
         "beside that of a perfect force through the same encoder steps, that of the ideal force by this person's "
         "exponent alone, and that of a force that never changes. That a calibration brings a person to the "
         "reference's exponent is a recovery of the parameters by which these people were made, no finding on people.",
+        *_unresolved(table),
         f"Agreeing with the paper: {agreeing or 'none'}; not agreeing: {apart or 'none'}.",
         *_ratios(table),
     )
@@ -67,6 +70,21 @@ def force_section(table: TrialTable) -> Section:
         *(name for each, name in RATIOS.items() if each in table.metrics), "trials",
     )  # fmt: skip
     return Section("force", "Force fidelity", sentences, header, tuple(rows), _force_picture(table))
+
+
+def _unresolved(table: TrialTable) -> list[str]:
+    """Tasks in which the least error is no bound: played and perfect force come of tools on courses of their own."""
+    if "least_error" not in table.metrics:
+        return []
+    shares = {}
+    for task in tasks_of(table):
+        part = table.where(task=task)
+        shares[task] = float((part.values("least_error") >= part.values("force_error")).mean())
+    above = ", ".join(f"{task} {100.0 * share:.0f} %" for task, share in shares.items() if share > UNRESOLVED)
+    return [
+        f"The least error is no bound where a tool cuts its own course, which the perfect force's does not share: it "
+        f"exceeds the error in {above} of the rows, so that there the excess, then set to 0, is no measure of methods."
+    ] if above else []  # fmt: skip
 
 
 def _ratios(table: TrialTable) -> list[str]:

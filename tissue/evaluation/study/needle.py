@@ -7,7 +7,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.discrimination import right_percent, sides
+from tissue.evaluation.study.felt_pairs import right_percent, sides
 from tissue.evaluation.study.paper import CASES
 from tissue.evaluation.study.section import Section, against, methods_of, spread
 from tissue.scene.registry import GROUPS
@@ -50,18 +50,17 @@ def needle_section(table: TrialTable, seed: int) -> Section:
         part = table.where(method=method, group=group)
         noticed = part.values("noticed") > 0.0
         felt = part.values("excess_mm")[noticed]
-        row = (group, method, f"{noticed.sum()} of {len(noticed)}")
-        row += (as_text(_middle(np.sort(np.where(noticed, part.values("excess_mm"), inf)))),)
-        row += (spread(felt), *against(felt, PAPERS.get(method))) if len(felt) else ("", "", "")
-        rows.append(row)
+        middle = as_text(_middle(np.sort(np.where(noticed, part.values("excess_mm"), inf))))
+        means = (spread(felt), *against(felt, PAPERS.get(method))) if len(felt) else ("", "", "")
+        rows.append((group, method, f"{noticed.sum()} of {len(noticed)}", middle, *means))
     pair = sides(table.where(method=methods_of(table)[0]))
     sentences = ["There are too few trials to discriminate capsule from parenchyma."]
     if pair is not None:
         wrong = {group: 100.0 - share for group, share in right_percent(pair, seed).items()}
         text = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
         sentences = [
-            f"Capsule ({pair[0].mean():.2f} N at the skin in the tenth of a second before its puncture) and parenchyma "
-            f"({pair[1].mean():.2f} N after) are confused by {text}; the paper prints less than 10 %: "
+            f"Capsule ({pair.more.mean():.2f} N at the skin in the tenth of a second before its puncture) and "
+            f"parenchyma ({pair.less.mean():.2f} N after) are confused by {text}; the paper prints less than 10 %: "
             + ("so it is here." if max(wrong.values()) < 10.0 else "here it is more."),
         ]
     shared = table.shared()
