@@ -40,9 +40,11 @@ def test_five_sentences_and_three_pictures_are_made_of_the_data():
     found = found_section(table(METRICS), needle, sections)
     assert len(found.sentences) == 5 and all(each.count(". ") == 0 and each.endswith(".") for each in found.sentences)
     error, latency, sensed, overshoot, against = found.sentences
-    assert "mean over T1, T2, is penalty 8.0 % (2.0 %), energy 8.0 % (2.0 %), koopman 4.0 % (1.0 %)" in error
-    assert "penalty +4.0 ms, energy +4.0 ms, koopman +2.0 ms" in latency
-    assert "d′ over 1 pairs, is penalty 2.00 (+0 %), " in sensed and "koopman-enhanced 2.20 (+10 %)" in sensed
+    assert "under penalty is T1 8.0 % (2.0 %), T2 8.0 % (2.0 %), in brackets" in error
+    assert "the others leave energy 1.00, 1.00; koopman 0.50, 0.50; " in error
+    assert "in T1, T2, penalty +4.0, +4.0; energy +4.0, +4.0; koopman +2.0, +2.0; " in latency
+    assert "under koopman, a d′ of capsule 2.00, and changes" in sensed
+    assert "under penalty +0; energy +0; " in sensed and "koopman-enhanced +10, where the paper" in sensed
     assert "penalty 1.20 mm (100 % noticed)" in overshoot and "prediction changes it by -25 %" in overshoot
     assert against == (
         "Of 2 figures held against the paper 1 do not agree: force fidelity T1 penalty 0.50 of it; nothing differs "
@@ -62,7 +64,7 @@ def test_what_is_missing_is_named():
     ]
     assert not found.pictures
     without = found_section(table({"force_error": 0.08}), None, [force("agrees")])
-    assert without.sentences[0].endswith("the least error was not measured.")
+    assert "T2 8.0 %, the least error was not measured, of which the others leave energy 1.00" in without.sentences[0]
     assert without.sentences[1].startswith("No residual latency") and len(without.pictures) == 1
     assert without.sentences[4] == "All 1 figures held against the paper agree with it."
 

@@ -15,7 +15,7 @@ from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.section import COLOURS, Section, drawing, image, legend, methods_of, tasks_of
 from tissue.scene.registry import GROUPS
 
-__all__ = ["PLAIN", "case_table", "discrimination_section"]
+__all__ = ["LEAST_D", "PLAIN", "case_table", "discrimination_section"]
 
 PLAIN = "koopman"
 """Method of plain scaling, which the others are held against."""

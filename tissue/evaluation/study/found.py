@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissue.evaluation.statistics.trials import TrialTable
+from tissue.evaluation.study.discrimination import LEAST_D
 from tissue.evaluation.study.found_pictures import force_dots, index_dots, overshoot_dots, sensitivity_dots
 from tissue.evaluation.study.needle import PAPERS, as_text, median_interval, travel_by_people
 from tissue.evaluation.study.paper import LATENCY
@@ -51,37 +52,58 @@ def found_section(table: TrialTable | None, needle: TrialTable | None, sections:
     return Section("found", "What was found", sentences, pictures=tuple(pictures))
 
 
-def _means(table: TrialTable, metric: str) -> dict[str, float]:
-    """Mean over tasks of the mean over trials, by method, of methods that every task has."""
-    found = {}
-    for method in methods_of(table):
-        parts = [table.where(task=task, method=method).values(metric) for task in tasks_of(table)]
-        if all(map(len, parts)):
-            found[method] = float(np.mean([part.mean() for part in parts]))
-    return found
+def _means(table: TrialTable, metric: str) -> dict[tuple[str, str], float]:
+    """Mean over trials by method and task."""
+    parts = {(method, task): table.where(task=task) for method in methods_of(table) for task in tasks_of(table)}
+    return {
+        key: float(part.where(method=key[0]).values(metric).mean())
+        for key, part in parts.items()
+        if key[0] in part.method
+    }
+
+
+def _by_task(table: TrialTable, metric: str, words: str) -> str:
+    """Means of a metric in words, tasks in turn for each method that every task has; ``words`` formats one."""
+    means, tasks = _means(table, metric), tasks_of(table)
+    rows = {
+        method: [words.format(means[method, task]) for task in tasks]
+        for method in methods_of(table)
+        if all((method, task) in means for task in tasks)
+    }
+    return "; ".join(f"{method} {', '.join(row)}" for method, row in rows.items())
 
 
 def _force(table: TrialTable | None) -> str:
-    """Error of force at the motor by method beside its least error."""
+    """Error of force at the motor by task: of the baseline and its least error, and what the others leave of it."""
     if table is None or "force_error" not in table.metrics:
         return "No force error was measured, as the study has no trial of a compared task."
-    errors = _means(table, "force_error")
+    means, tasks = _means(table, "force_error"), tasks_of(table)
+    if any((BASELINE, task) not in means for task in tasks):
+        return (
+            f"The force error at the motor in % is, in {', '.join(tasks)}, {_by_task(table, 'force_error', '{:.3f}')}."
+        )
     least = _means(table, "least_error") if "least_error" in table.metrics else {}
-    text = ", ".join(
-        f"{method} {100.0 * error:.1f} %" + (f" ({100.0 * least[method]:.1f} %)" if method in least else "")
-        for method, error in errors.items()
+    base = ", ".join(
+        f"{task} {100.0 * means[BASELINE, task]:.1f} %" + (f" ({100.0 * least[BASELINE, task]:.1f} %)" if least else "")
+        for task in tasks
+    )
+    left = "; ".join(
+        f"{method} {', '.join(f'{means[method, task] / means[BASELINE, task]:.2f}' for task in tasks)}"
+        for method in methods_of(table)
+        if method != BASELINE and all((method, task) in means for task in tasks)
     )
     remark = "in brackets the least that the encoder allows" if least else "the least error was not measured"
-    return f"The force error at the motor, mean over {', '.join(tasks_of(table))}, is {text}, {remark}."
+    others = f", of which the others leave {left} in these tasks" if left else ""
+    return f"The force error at the motor under {BASELINE} is {base}, {remark}{others}."
 
 
 def _latency(table: TrialTable | None) -> str:
     """Residual latency by method."""
     if table is None or "latency_ms" not in table.metrics:
         return "No residual latency was measured, as the study has no trial of a compared task."
-    text = ", ".join(f"{method} {value:+.1f} ms" for method, value in _means(table, "latency_ms").items())
     return (
-        f"The residual latency at the motor is {text}, where below zero the force comes early and the paper prints "
+        f"The residual latency at the motor is, in {', '.join(tasks_of(table))}, "
+        f"{_by_task(table, 'latency_ms', '{:+.1f}')} ms, where below zero the force comes early and the paper prints "
         f"{LATENCY} ms."
     )
 
@@ -91,19 +113,19 @@ def _discrimination(sensitivity: Mapping[tuple[str, str], Sequence[float]]) -> s
     if not sensitivity:
         return "No discrimination was measured, as people have too few trials on two specimens each."
     methods = list(dict.fromkeys(method for _, method in sensitivity))
+    means = {key: float(np.mean(values)) for key, values in sensitivity.items()}
     pairs = list(dict.fromkeys(pair for pair, _ in sensitivity))
-    whole = {
-        method: float(np.mean([np.mean(sensitivity[pair, method]) for pair in pairs]))
+    first = PLAIN if PLAIN in methods else methods[0]
+    known = [pair for pair in pairs if means.get((pair, first), 0.0) >= LEAST_D]
+    levels = ", ".join(f"{pair} {means[pair, first]:.2f}" for pair in pairs if (pair, first) in means)
+    changes = "; ".join(
+        f"{method} " + ", ".join(f"{100.0 * (means[pair, method] / means[pair, first] - 1.0):+.0f}" for pair in known)
         for method in methods
-        if all((pair, method) in sensitivity for pair in pairs)
-    }
-    plain = whole.get(PLAIN, 0.0)
-    text = ", ".join(
-        f"{method} {value:.2f}" + (f" ({100.0 * (value / plain - 1.0):+.0f} %)" if plain and method != PLAIN else "")
-        for method, value in whole.items()
+        if method != first and all((pair, method) in means for pair in known)
     )
-    against = f", in brackets against {PLAIN}, where the paper prints +18 to +22 % for scaling" if plain else ""
-    return f"Discrimination from the force at the skin, as d′ over {len(pairs)} pairs, is {text}{against}."
+    others = f", and changes in % where it is {LEAST_D} or more, in turn, under {changes}" if known and changes else ""
+    against = ", where the paper prints +18 to +22 % for scaling" if others else ""
+    return f"Discrimination from the force at the skin has, under {first}, a d′ of {levels}{others}{against}."
 
 
 def _overshoot(needle: TrialTable | None) -> str:

@@ -65,7 +65,8 @@ def sensitivity_dots(sensitivity: Mapping[tuple[str, str], Sequence[float]]) -> 
             axes.axhline(at - 0.5, color="#CCCCCC", lw=1)
     axes.set_yticks(range(len(pairs)), [pair.replace(": ", ":\n").replace(" or ", " or\n") for pair in pairs])
     axes.set_ylim(len(pairs) - 0.5, -0.5)
-    axes.set_xlim(left=0.0)
+    axes.axvline(0.0, color="black", lw=0.8)
+    axes.spines["left"].set_visible(False)
     axes.tick_params(labelsize=LETTERS)
     axes.set_xlabel("discrimination at the skin, d′ (0: by guessing)", fontsize=LETTERS)
     figure.legend(loc="outside upper center", ncols=3, frameon=False, fontsize=LETTERS - 1, columnspacing=1.0)
@@ -89,7 +90,7 @@ def overshoot_dots(needle: TrialTable) -> bytes:
         if high > longest:
             axes.plot(longest, line, ">", color=COLOURS[method], ms=10)
         share = 100.0 * float(shared.where(method=method).values("noticed").mean())
-        axes.text(1.04 * longest, line, f"{share:.0f} %", va="center", fontsize=LETTERS)
+        axes.text(1.04 * longest, line, f"{share:.0f} %", va="center", fontsize=LETTERS, backgroundcolor="white")
         if paper := PAPERS.get(method):
             axes.errorbar(paper.mean, line + 0.28, xerr=paper.spread, fmt="x", color="black", ms=9, mew=2, lw=1.5)
     _methods_axis(axes, methods, named=True)

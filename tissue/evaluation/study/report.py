@@ -1,5 +1,6 @@
 """The report of a study: sections as one HTML file that needs no other, and as CSV."""
 
+import re
 from collections import Counter
 from html import escape
 from pathlib import Path
@@ -105,7 +106,8 @@ def _overview(folder: StudyFolder) -> Section:
     for trial in kept:
         for row in trial.rows:
             if "failure" in row:
-                failures.setdefault(f"{row['method']}: {row['failure']}", []).append(trial.key.name)
+                what = re.sub(r"[-+.\de]*\d s\b", "... s", str(row["failure"]))  # the same failure at another time
+                failures.setdefault(f"{row['method']}: {what}", []).append(trial.key.name)
     rows = tuple(
         (task, TASKS[task].title, _describe(task), ", ".join(f"{group} {counts[task, group]}" for group in plan.groups))
         for task in plan.tasks
