@@ -16,7 +16,7 @@ from tissue.evaluation.study.report import sections_of, write_report
 from tissue.evaluation.study.section import agreement
 from tissue.evaluation.study.sensitivity import reference_section, sensitivity_section
 from tissue.evaluation.study.tasks import METHODS
-from tissue.evaluation.study.trial import Trial
+from tissue.evaluation.study.trial import Trial, failures_of
 
 PLAN = Plan(trials=4, tasks=("T1", "T2", "needle", "reaming", "drilling"))
 LEFT = {"penalty": 1.0, "energy": 1.0} | dict.fromkeys(list(METHODS)[2:], 0.4)
@@ -159,3 +159,15 @@ def test_distances_from_a_path():
     path = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0]])
     tips = np.array([[5.0, 3, 0], [13, 0, 4], [10, 4, 0], [-3, 0, 4]])
     assert _from_path(tips, path) == pytest.approx([3.0, 5.0, 0.0, 5.0])
+
+
+def test_a_failure_at_another_time_is_the_same():
+    words = "InputError: capsule must be punctured, got a hand that stopped at {} s: see its threshold"
+    trials = [
+        Trial(TrialKey("needle", "novice", at), 1, ({"method": "energy", "failure": words.format(time)},), 1.0)
+        for at, time in enumerate(("0.386", "12", "inf", "1e-05"))
+    ]
+    assert failures_of(trials) == {
+        f"energy: {words.format('...')}": [f"needle-novice-000{at}" for at in (0, 1, 3)],
+        f"energy: {words.format('inf')}": ["needle-novice-0002"],
+    }

@@ -8,7 +8,7 @@ from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.registered import code_sha256, file_sha256
 from tissue.evaluation.study.section import Section
 from tissue.evaluation.study.tested import COMPARED
-from tissue.evaluation.study.trial import Trial, trial_seed
+from tissue.evaluation.study.trial import Trial, failures_of, trial_seed
 
 __all__ = ["registration_section"]
 
@@ -80,12 +80,7 @@ def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Diff
     for task in plan.tasks:
         if names := [key.name for key in missing if key.task == task]:
             yield "trials missing", task, _named(names)
-    failures: dict[str, list[str]] = {}
-    for trial in kept:
-        for row in trial.rows:
-            if "failure" in row:
-                failures.setdefault(f"{row['method']}: {row['failure']}", []).append(trial.key.name)
-    for what, names in failures.items():
+    for what, names in failures_of(kept).items():
         yield "trials failed and left out", what, _named(names)
     for method in plan.methods:
         without = [trial.key.name for trial in kept if not trial.key.variant

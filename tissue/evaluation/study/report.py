@@ -1,6 +1,5 @@
 """The report of a study: sections as one HTML file that needs no other, and as CSV."""
 
-import re
 from collections import Counter
 from html import escape
 from pathlib import Path
@@ -25,6 +24,7 @@ from tissue.evaluation.study.section import Section
 from tissue.evaluation.study.sensitivity import reference_section, sensitivity_section, speed_section
 from tissue.evaluation.study.tasks import TASKS
 from tissue.evaluation.study.tested import composite_section, power_section, regression_section, tests_sections
+from tissue.evaluation.study.trial import failures_of
 from tissue.system.html import html_page, html_picture
 from tissue.system.outputs import output_locked
 
@@ -102,12 +102,6 @@ def _overview(folder: StudyFolder) -> Section:
     plan = folder.plan()
     kept = list(folder.trials(variant=None))
     counts = Counter((trial.key.task, trial.key.group) for trial in kept if not trial.key.variant)
-    failures: dict[str, list[str]] = {}
-    for trial in kept:
-        for row in trial.rows:
-            if "failure" in row:
-                what = re.sub(r"[-+.\de]*\d s\b", "... s", str(row["failure"]))  # the same failure at another time
-                failures.setdefault(f"{row['method']}: {what}", []).append(trial.key.name)
     rows = tuple(
         (task, TASKS[task].title, _describe(task), ", ".join(f"{group} {counts[task, group]}" for group in plan.groups))
         for task in plan.tasks
@@ -125,7 +119,7 @@ def _overview(folder: StudyFolder) -> Section:
     if empty:
         sentences.append(f"No trial yet of {', '.join(empty)}: the figures are of the other groups.")
     sentences += [f"{len(names)} failed, {what} ({names[0]}{', ...' * (len(names) > 1)})."
-                  for what, names in failures.items()]  # fmt: skip
+                  for what, names in failures_of(kept).items()]  # fmt: skip
     return Section("overview", "What was run", tuple(sentences), ("task", "what", "scene and changes", "trials"), rows)
 
 

@@ -1,7 +1,8 @@
 """One trial of a study: the same person, specimen and noise under every method, and the metrics of each."""
 
+import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from math import floor
@@ -29,7 +30,7 @@ from tissue.scene.tool import PathMotion
 from tissue.simulation.reference_force import ideal_force_N
 from tissue.simulation.simulate import TICK_S, simulate
 
-__all__ = ["Row", "Trial", "TrialScene", "error_sentence", "run_trial", "trial_scene", "trial_seed"]
+__all__ = ["Row", "Trial", "TrialScene", "error_sentence", "failures_of", "run_trial", "trial_scene", "trial_seed"]
 
 Row = dict[str, str | float]
 """A method's name and its metrics, or the sentence of its failure."""
@@ -111,6 +112,17 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
             except Exception as error:  # a trial that fails must not take the study with it, whatever the fault
                 rows.append({"method": method, "failure": error_sentence(error)})
     return Trial(key, trial_seed(plan, key), tuple(rows), perf_counter() - started)
+
+
+def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
+    """Names of trials by method and sentence of a failure; one that happened at another time is the same."""
+    found: dict[str, list[str]] = {}
+    for trial in trials:
+        for row in trial.rows:
+            if "failure" in row:
+                what = re.sub(r"\b[\d.e+-]+ s\b", "... s", str(row["failure"]))
+                found.setdefault(f"{row['method']}: {what}", []).append(trial.key.name)
+    return found
 
 
 def trial_seed(plan: Plan, key: TrialKey) -> int:
