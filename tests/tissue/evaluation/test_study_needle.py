@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.felt_pairs import sides
 from tissue.evaluation.study.found import found_section
 from tissue.evaluation.study.needle import median_interval, needle_section, travel_by_people
 
@@ -85,8 +84,6 @@ def test_methods_are_compared_on_the_same_trials():
     shared = TrialTable.from_rows(rows).shared()
     for method in METHODS:
         assert shared.where(method=method).user.tolist() == ["00", "02", "03"]
-    pair = sides(shared.where(method="penalty"))
-    assert len(pair.less) == len(pair.more) == 3
 
 
 def test_where_no_trial_is_whole_it_is_stated():

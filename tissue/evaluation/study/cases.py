@@ -83,8 +83,9 @@ def _drilling(table: TrialTable, seed: int) -> Section:
     text = "there are too few trials to discriminate carious from sound"
     if pair is not None:
         shares = right_percent(pair, seed).values()
+        carious, sound = pair.less.stimulus.level_N, pair.more.stimulus.level_N
         text = (
-            f"carious ({pair.less.mean():.3f} N at the skin) and sound ({pair.more.mean():.3f} N) are discriminated in "
+            f"carious ({carious:.3f} N at the skin) and sound ({sound:.3f} N) are discriminated in "
             f"{min(shares):.0f} to {max(shares):.0f} % of answers; the paper prints {CASES['caries_right_percent']} %"
         )
     late = [method for method, lag in lags.items() if round(float(lag.mean()), 2) >= paper.mean]

@@ -46,10 +46,18 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
                 d, right = (float(each.mean()) for each in pair.felt_by(people))
                 error = 196.0 * pair.felt_by(people)[1].std(ddof=1) / PEOPLE**0.5
                 shown[what, group, method] = 100.0 * right, error
-                row = [what, group, method, *(f"{each.level_N:.3f} ± {each.scatter_N:.3f}" for each in pair.levels)]
+                row = [
+                    what,
+                    group,
+                    method,
+                    *(
+                        f"{each.level_N:.3f} ± {each.scatter_N:.3f}"
+                        for each in (pair.less.stimulus, pair.more.stimulus)
+                    ),
+                ]
                 row += [f"{d:.2f}", f"{100.0 * right:.1f}"]
                 if method != PLAIN and PLAIN in found:
-                    change = changes_of(people, found[PLAIN], pair, np.random.default_rng(seed))
+                    change = changes_of(people, found[PLAIN], pair)
                     if plain < LEAST_D:
                         change[1] = np.nan
                     changes[what, group, method] = change

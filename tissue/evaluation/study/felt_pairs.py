@@ -15,88 +15,109 @@ __all__ = ["PEOPLE", "FeltPair", "changes_of", "right_percent", "sides", "specim
 
 PEOPLE = 200
 """Simulated people of each group who compare; none of them is one whom a method was tuned to."""
-RESAMPLES = 400
-"""Draws of trials and people anew for an interval."""
 Picked = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
+class Felt:
+    """A force at the skin over the trials of people.
+
+    Attributes
+    ----------
+    means_N
+        Of each person's trials [N], shape (people,).
+    squares_N2
+        Sums of squared differences of a person's trials from their mean [N2], shape (people,).
+    free
+        Trials of each person but one, shape (people,).
+    """
+
+    means_N: Array
+    squares_N2: Array
+    free: Array
+
+    @classmethod
+    def over(cls, forces_N: Array, person: Picked, count: int) -> "Felt":
+        """Of trials, each of a person by number below ``count`` who all have one, shape (n,)."""
+        trials: Array = np.bincount(person, minlength=count).astype(np.float64)
+        means = np.bincount(person, forces_N, count).astype(np.float64) / trials
+        squares = np.bincount(person, (forces_N - means[person]) ** 2, count)
+        return cls(np.asarray(means), np.asarray(squares, dtype=np.float64), trials - 1.0)
+
+    def of(self, who: Picked) -> "Felt":
+        """Of some people, who may come several times."""
+        return Felt(self.means_N[who], self.squares_N2[who], self.free[who])
+
+    @property
+    def stimulus(self) -> Stimulus:
+        """Mean over people, and scatter over one person's trials."""
+        return Stimulus(float(self.means_N.mean()), float(np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0))))
+
+
+@dataclass(frozen=True)
 class FeltPair:
-    """Forces at the skin over trials, what people differ by taken out.
+    """Two forces at the skin that each person compares for themselves: people's own levels are no scatter.
 
     Attributes
     ----------
     less, more
-        Of the softer and the stiffer of the two [N], shape (n,) and (m,).
-    together
-        Whether an entry of one and the same entry of the other are of one trial.
+        The softer and the stiffer of the two, of the same people.
     """
 
-    less: Array
-    more: Array
-    together: bool = False
+    less: Felt
+    more: Felt
 
-    @property
-    def levels(self) -> tuple[Stimulus, Stimulus]:
-        """Means and scatters over trials."""
-        return _level(self.less), _level(self.more)
+    def of(self, who: Picked) -> "FeltPair":
+        """The pair of some people, who may come several times."""
+        return FeltPair(self.less.of(who), self.more.of(who))
 
     def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
-        """Sensitivity d' and chance of a right answer of each person, shape (n,) each.
+        """Sensitivity d' and chance of a right answer of each observer, shape (n,) each.
 
         Where the stiffer one has the smaller force at the skin, people who go by force are wrong: d' is below zero.
         """
-        first, second = self.levels
+        first, second = self.less.stimulus, self.more.stimulus
         d, right = sensitivity(people, first, second), chance_right(people, first, second)
         return (d, right) if second.level_N >= first.level_N else (-d, 1.0 - right)
 
-    def drawn(self, rng: np.random.Generator, count: tuple[int, int]) -> tuple[Picked, Picked]:
-        """Trials drawn anew from as many of each."""
-        first = rng.integers(count[0], size=count[0])
-        return first, first if self.together else rng.integers(count[1], size=count[1])
 
-    def of(self, picked: tuple[Picked, Picked]) -> "FeltPair":
-        """The pair over drawn trials."""
-        return FeltPair(self.less[picked[0]], self.more[picked[1]], self.together)
-
-
-def changes_of(people: SimulatedObservers, plain: FeltPair, other: FeltPair, rng: np.random.Generator) -> Array:
+def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) -> Array:
     """Change against plain scaling: value, low, high of d', of d' in percent, of right answers in points, shape (3, 3).
 
-    Of means over people. Intervals of 95 % are by drawing people and trials again, the same trials under both methods.
+    Of means over observers. Intervals of 95 % are by Student's t of what the change becomes with each of the people of
+    the trials left out in turn, the same under both methods (jackknife, Efron 1982).
     """
+    from scipy.stats import t
 
-    def change(one: FeltPair, two: FeltPair, who: Picked) -> Array:
-        (d, right), (new_d, new_right) = ([each[who].mean() for each in pair.felt_by(people)] for pair in (one, two))
+    def change(one: FeltPair, two: FeltPair) -> Array:
+        (d, right), (new_d, new_right) = ([each.mean() for each in pair.felt_by(observers)] for pair in (one, two))
         return np.array([new_d - d, 100.0 * (new_d / d - 1.0) if d else 0.0, 100.0 * (new_right - right)])
 
-    count = min(len(plain.less), len(other.less)), min(len(plain.more), len(other.more))
-    value = change(plain, other, np.arange(len(people)))
-    drawn = []
-    for _ in range(RESAMPLES):
-        picked = plain.drawn(rng, count)
-        drawn.append(change(plain.of(picked), other.of(picked), rng.integers(len(people), size=len(people))))
-    return np.column_stack([value, *np.quantile(drawn, [0.025, 0.975], axis=0)])
+    who = np.arange(len(plain.less.means_N))
+    value, count = change(plain, other), len(who)
+    without = np.array([change(plain.of(kept), other.of(kept)) for kept in (np.delete(who, each) for each in who)])
+    error = np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
+    reach = float(t.ppf(0.975, max(count - 1, 1))) * error
+    return np.column_stack([value, value - reach, value + reach])
 
 
 def specimens(part: TrialTable) -> FeltPair | None:
-    """Forces at the skin on the first two specimens of a task, the softer first; None where trials are too few.
+    """Forces at the skin on the first two specimens of a task, the softer first, of people who met both.
 
-    A person compares for themselves: what people differ by, in pace and in how forces are scaled for them, is taken out
-    by least squares of the force on person and specimen.
+    None where nobody met both, or nobody met one of them twice.
     """
     chosen = np.isin(part.values("specimen"), (0.0, 1.0))
-    levels, second = part.values("skin_N")[chosen], part.values("specimen")[chosen] == 1.0
-    if min(second.sum(), (~second).sum()) < 2:
-        return None
-    return _separated(levels, second, part.people()[chosen])
+    forces, people = part.values("skin_N")[chosen], part.people()[chosen]
+    second: NDArray[np.bool_] = part.values("specimen")[chosen] == 1.0
+    known = np.isin(people, np.intersect1d(people[second], people[~second]))
+    first, second = known & ~second, known & second
+    return _pair((forces[first], people[first]), (forces[second], people[second]))
 
 
 def sides(needle: TrialTable) -> FeltPair | None:
-    """Forces at the skin after and before the capsule's puncture, people taken out; None of too few trials."""
-    after, before = needle.values("parenchyma_N"), needle.values("capsule_N")
-    second = np.repeat([False, True], len(after))
-    return _separated(np.concatenate([after, before]), second, np.tile(needle.people(), 2), together=True)
+    """Forces at the skin after and before the capsule's puncture; None where nobody has two trials."""
+    people = needle.people()
+    return _pair((needle.values("parenchyma_N"), people), (needle.values("capsule_N"), people))
 
 
 def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
@@ -106,20 +127,8 @@ def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
     return {group: 100.0 * float(pair.felt_by(each)[1].mean()) for group, each in people.items()}
 
 
-def _separated(levels: Array, second: NDArray[np.bool_], people: NDArray[np.str_], *, together: bool = False) -> (
-    FeltPair | None
-):  # fmt: skip
-    """Levels without what people differ by; None where trials do not separate the two from people."""
-    names = sorted(set(people))
-    design = np.column_stack([*((people == name) for name in names), second]).astype(float)
-    if len(levels) <= len(names) + 1 or np.linalg.matrix_rank(design) <= len(names):
-        return None
-    effects, *_ = np.linalg.lstsq(design, levels, rcond=None)
-    shares = np.sqrt((len(levels) - 2) / (len(levels) - len(names) - 1))  # a fit's residuals are less than the scatter
-    fitted = effects[:-1].mean() + effects[-1] * second + shares * (levels - design @ effects)
-    return FeltPair(fitted[~second], fitted[second], together)
-
-
-def _level(values: Array) -> Stimulus:
-    """Mean and scatter over trials."""
-    return Stimulus(float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0)
+def _pair(less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]) -> FeltPair | None:
+    """Two forces by trial with the people of their trials, the same people in both; None without any scatter."""
+    names = np.unique(less[1])
+    first, second = (Felt.over(forces, np.searchsorted(names, people), len(names)) for forces, people in (less, more))
+    return FeltPair(first, second) if first.free.sum() > 0.0 and second.free.sum() > 0.0 else None

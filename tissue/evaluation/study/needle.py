@@ -59,9 +59,9 @@ def needle_section(table: TrialTable, seed: int) -> Section:
         wrong = {group: 100.0 - share for group, share in right_percent(pair, seed).items()}
         text = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
         sentences = [
-            f"Capsule ({pair.more.mean():.2f} N at the skin in the tenth of a second before its puncture) and "
-            f"parenchyma ({pair.less.mean():.2f} N after) are confused by {text}; the paper prints less than 10 %: "
-            + ("so it is here." if max(wrong.values()) < 10.0 else "here it is more."),
+            f"Capsule ({pair.more.stimulus.level_N:.2f} N at the skin in the tenth of a second before its puncture) "
+            f"and parenchyma ({pair.less.stimulus.level_N:.2f} N after) are confused by {text}; the paper prints less "
+            "than 10 %: " + ("so it is here." if max(wrong.values()) < 10.0 else "here it is more."),
         ]
     shared = table.shared()
     sentences.append(
