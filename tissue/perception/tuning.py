@@ -11,8 +11,8 @@ from tissue.perception.observer import Observer
 __all__ = ["SLOPE_MOST", "separation", "tuned_enhancement"]
 
 SLOPE_MOST = 2.0
-"""Greatest slope that is chosen. What it costs in stiffness of the coupling, which the judge then lowers, is not weighed:
-for hands in a study from 310 to 200 N/m."""
+"""Greatest slope that is chosen. That the judge then lowers the coupling's stiffness (in the study from 310 to 200 N/m)
+is not weighed."""
 LIFTS = np.linspace(1.0, SLOPE_MOST, 21)
 EXPONENTS = np.linspace(1.0, 1.5, 21)
 BAND = (0.03, 0.7)
