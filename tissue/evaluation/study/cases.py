@@ -58,7 +58,7 @@ def _reaming(table: TrialTable, seed: int) -> Section:
     sentences = (
         f"RMS of the force's tracking error over {rows[0][-1]} trials, in newtons at the reamer, of forces up to "
         f"{float(table.values('peak_force_N').max()) / scale:.1f} N; the paper prints less than "
-        f"{papers['tracking_rms_N']} N. At a feed of half a millimetre a second the force changes slowly, so that this "
+        f"{papers['tracking_rms_N']} N. The force changes slowly, so that this "
         "depends little on latency. Bone guides the reamer: its distance from the path depends little on hands.",
         f"A step of {TORQUE_STEP_NM} N m on {level:.3f} ± {scatter:.3f} N m is discriminated in {', '.join(shares)} of "
         "the answers, 75 % being the threshold; the paper states that it is felt.",

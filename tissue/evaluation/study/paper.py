@@ -16,6 +16,8 @@ CHOSEN_AFTER = (
     "in contact too",
     "a puncture that nobody notices counts as the longest travel and a push ends at a depth of 60 mm, where a study of "
     "180 trials left such trials out",
+    "hands aim below the bone in T3 and in reaming, so that they mill and ream it, where those of a study of 180 "
+    "trials aimed at the wanted depth and skimmed it",
 )
 """Choices of the study itself that were made with figures of an earlier version in sight; no others are known."""
 

@@ -78,11 +78,35 @@ TASKS = {
         scene="milling",
         changes={
             "anatomy.size_mm": [14, 10, 4],
-            "motion.points_mm": [[-3, 0, 0.05], [-3, 0, -0.1], [3, 0, -0.1], [3, 0, -0.2], [-3, 0, -0.2]],
+            "voxels.spacing_mm": 0.1,  # the force is 1 % off that of 0.05 mm voxels and shell
+            "tool.shell_spacing_mm": 0.1,
+            "coupling.force_scale": 0.04,  # the one chosen for a path follows its depth, which is the hand's aim here
+            # The hand aims as far below the bone, and before the teeth's pull, as its grip gives way to 10 to 15 N.
+            "motion.points_mm": [
+                [-3, -0.5, 1],
+                [-3, -0.5, -1.4],
+                [3, -0.5, -1.4],
+                [3, -0.5, 3],
+                [-3, -0.5, 3],
+                [-3, -0.5, -1.9],
+                [3, -0.5, -1.9],
+                [3, -0.5, 3],
+            ],
+            "motion.feed_mm_s": 10.0,
             "duration_s": None,
         },
         specimens=_scaled(BONE, (0.9, 1.0, 1.1)),
         extremes=_scaled(BONE, (0.8, 1.1)),
+        wanted_mm=(
+            (-3, 0, 1),
+            (-3, 0, -0.1),
+            (3, 0, -0.1),
+            (3, 0, 3),
+            (-3, 0, 3),
+            (-3, 0, -0.2),
+            (3, 0, -0.2),
+            (3, 0, 3),
+        ),
     ),
     "needle": Task(
         title="needle pushed through the capsule of a liver, to stop as it breaks",
@@ -101,7 +125,9 @@ TASKS = {
         changes={
             "voxels.spacing_mm": 0.2,
             "voxels.margin_mm": 1.0,
-            "motion.points_mm": [[0, 0, 0.3], [0, 0, -0.7]],
+            "coupling.force_scale": 0.03,
+            "motion.points_mm": [[0, 0, 0.3], [0, 0, -3.5], [0, 0, 1]],  # presses with some 40 N, 2 mm deep
+            "motion.feed_mm_s": 3.0,
             "duration_s": None,
         },
         specimens=({},),
