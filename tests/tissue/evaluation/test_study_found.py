@@ -69,6 +69,13 @@ def test_what_is_missing_is_named():
     assert without.sentences[4] == "All 1 figures held against the paper agree with it."
 
 
+def test_without_the_penalty_law_errors_are_given_themselves_in_percent():
+    others = table(METRICS).where(method=["energy", "koopman"])
+    assert found_section(others, None, []).sentences[0] == (
+        "The force error at the motor is, in T1, T2, energy 8.0%, 8.0%; koopman 4.0%, 4.0%."
+    )
+
+
 def test_the_index_stands_in_for_the_overshoot():
     rows = (("weight", "force_error", "0.5", "0.4", "0.6", ""), ("mean", "penalty", "-0.2", "-0.3", "-0.1", ""))
     found = found_section(None, None, [Section("index", "Composite index", (), (), rows)])

@@ -7,7 +7,7 @@ import numpy as np
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.discrimination import LEAST_D
 from tissue.evaluation.study.found_pictures import force_dots, index_dots, overshoot_dots, sensitivity_dots
-from tissue.evaluation.study.needle import PAPERS, as_text, median_interval, travel_by_people
+from tissue.evaluation.study.needle import PAPERS, as_text, median_interval, noticed_percent, travel_by_people
 from tissue.evaluation.study.paper import LATENCY
 from tissue.evaluation.study.section import Section, methods_of, tasks_of
 
@@ -79,9 +79,7 @@ def _force(table: TrialTable | None) -> str:
         return "No force error was measured, as the study has no trial of a compared task."
     means, tasks = _means(table, "force_error"), tasks_of(table)
     if any((BASELINE, task) not in means for task in tasks):
-        return (
-            f"The force error at the motor in % is, in {', '.join(tasks)}, {_by_task(table, 'force_error', '{:.3f}')}."
-        )
+        return f"The force error at the motor is, in {', '.join(tasks)}, {_by_task(table, 'force_error', '{:.1%}')}."
     least = _means(table, "least_error") if "least_error" in table.metrics else {}
     base = ", ".join(
         f"{task} {100.0 * means[BASELINE, task]:.1f} %" + (f" ({100.0 * least[BASELINE, task]:.1f} %)" if least else "")
@@ -135,9 +133,7 @@ def _overshoot(needle: TrialTable | None) -> str:
     travels = {method: travel_by_people(shared, method) for method in methods_of(shared)}
     medians = {method: median_interval(travel)[0] for method, travel in travels.items()}
     text = ", ".join(
-        f"{method} {as_text(medians[method])} "
-        f"({100.0 * float(shared.where(method=method).values('noticed').mean()):.0f} % noticed)"
-        for method in travels
+        f"{method} {as_text(medians[method])} ({noticed_percent(shared, method):.0f} % noticed)" for method in travels
     )
     paper = f"{PAPERS['penalty']} mm without prediction and {PAPERS['koopman']} mm with it, -31 %"
     change = ""

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.needle import PAPERS, median_interval, travel_by_people
+from tissue.evaluation.study.needle import PAPERS, median_interval, noticed_percent, travel_by_people
 from tissue.evaluation.study.paper import FORCE_ERROR
 from tissue.evaluation.study.section import (
     COLOURS,
@@ -89,8 +89,8 @@ def overshoot_dots(needle: TrialTable) -> bytes:
         _dot(axes, line, method, (min(middle, longest), max(low, 0.0), min(high, longest)))
         if high > longest:
             axes.plot(longest, line, ">", color=COLOURS[method], ms=10)
-        share = 100.0 * float(shared.where(method=method).values("noticed").mean())
-        axes.text(1.04 * longest, line, f"{share:.0f} %", va="center", fontsize=LETTERS, backgroundcolor="white")
+        share = f"{noticed_percent(shared, method):.0f} %"
+        axes.text(1.04 * longest, line, share, va="center", fontsize=LETTERS, backgroundcolor="white")
         if paper := PAPERS.get(method):
             axes.errorbar(paper.mean, line + 0.28, xerr=paper.spread, fmt="x", color="black", ms=9, mew=2, lw=1.5)
     _methods_axis(axes, methods, named=True)

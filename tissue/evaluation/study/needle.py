@@ -12,7 +12,7 @@ from tissue.evaluation.study.paper import CASES
 from tissue.evaluation.study.section import Section, against, methods_of, spread
 from tissue.scene.registry import GROUPS
 
-__all__ = ["PAPERS", "as_text", "median_interval", "needle_section", "travel_by_people"]
+__all__ = ["PAPERS", "as_text", "median_interval", "needle_section", "noticed_percent", "travel_by_people"]
 
 PAPERS = {"penalty": CASES["overshoot_penalty_mm"], "koopman": CASES["overshoot_koopman_mm"]}
 """The paper's travel by method, a mean with its standard deviation."""
@@ -41,6 +41,11 @@ def median_interval(values: Array) -> tuple[float, float, float]:
     if len(ordered) < 6:
         return _middle(ordered), -inf, inf
     return _middle(ordered), float(ordered[rank - 1]), float(ordered[len(ordered) - rank])
+
+
+def noticed_percent(needle: TrialTable, method: str) -> float:
+    """Share of a method's punctures that are noticed [%]."""
+    return 100.0 * float(needle.where(method=method).values("noticed").mean())
 
 
 def needle_section(table: TrialTable, seed: int) -> Section:
@@ -88,11 +93,10 @@ def _noticing(shared: TrialTable) -> str:
     """Share of punctures that are noticed and median travel over people, by method."""
     found = []
     for method in methods_of(shared):
-        percent = 100.0 * float(shared.where(method=method).values("noticed").mean())
         middle, low, high = median_interval(travel_by_people(shared, method))
         bounds = f" [{as_text(low)}, {as_text(high)}]" if low > -inf else ""
         found.append(
-            f"{method} lets {percent:.0f} % notice, travel {as_text(middle)}{bounds} in the median over people"
+            f"{method} lets {noticed_percent(shared, method):.0f} % notice, travel {as_text(middle)}{bounds} in the median over people"
         )
     return "; ".join(found)
 
