@@ -96,7 +96,8 @@ def _noticing(shared: TrialTable) -> str:
         middle, low, high = median_interval(travel_by_people(shared, method))
         bounds = f" [{as_text(low)}, {as_text(high)}]" if low > -inf else ""
         found.append(
-            f"{method} lets {noticed_percent(shared, method):.0f} % notice, travel {as_text(middle)}{bounds} in the median over people"
+            f"{method} lets {noticed_percent(shared, method):.0f} % notice, travel {as_text(middle)}{bounds} in the "
+            "median over people"
         )
     return "; ".join(found)
 
