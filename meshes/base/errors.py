@@ -22,6 +22,7 @@ __all__ = [
     "names_of_caller",
     "require_direction",
     "require_file",
+    "require_length",
     "require_positive",
     "require_range",
     "require_ranges",
@@ -29,7 +30,6 @@ __all__ = [
 ]
 
 _LONGEST_PATH = 500
-NUMBER = r"(?<![\w.+-])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])"
 
 
 class InputError(ValueError):
@@ -96,6 +96,40 @@ def require_range(name: str, value: float, lowest: float, highest: float, remedy
     if not lowest <= number <= highest:
         raise InputError(f"{name} must be in [{lowest:g}, {highest:g}], got {value}: {remedy}")
     return number
+
+
+def require_length(name: str, value_m: float, lowest_m: float, highest_m: float, advised_m: float) -> float:
+    """Return `value_m` as a float if it lies in the closed interval [lowest_m, highest_m].
+
+    The message states lengths in millimetres, so it stays right when `names_of_caller` puts a name in
+    millimetres in place of one in metres.
+
+    Parameters
+    ----------
+    name
+        Argument as the caller knows it.
+    value_m
+        The length to check [m].
+    lowest_m, highest_m
+        Smallest and largest valid length [m]; 0 and infinity are no bounds.
+    advised_m
+        Length that the message advises [m].
+
+    Raises
+    ------
+    InputError
+        If the value is not a number, not positive, not finite or outside the interval.
+    """
+    remedy = f"use about {1e3 * advised_m:.3g} mm"
+    length = _as_number(name, value_m, remedy)
+    if math.isfinite(length) and length > 0.0 and lowest_m <= length <= highest_m:
+        return length
+    required = "positive and finite"
+    if math.isfinite(highest_m):
+        required = f"from {1e3 * lowest_m:.4g} mm to {1e3 * highest_m:.4g} mm"
+        if lowest_m == 0.0:
+            required = f"positive and at most {1e3 * highest_m:.4g} mm"
+    raise InputError(f"{name} must be {required}, got {1e3 * length:.4g} mm: {remedy}")
 
 
 def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
@@ -201,23 +235,17 @@ def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
 
 
 def in_callers_words(message: str, names: Mapping[str, str]) -> str:
-    """A refusal with the caller's name, such as a key of a scene, and in millimetres where it has metres.
+    """Return a message with the caller's name of the argument, such as the key of a scene.
 
-    A refusal of an argument in metres has all of its lengths in them; elsewhere a length is a number before " m".
+    Numbers are not touched. A message that can reach a caller whose argument is in millimetres therefore states
+    its lengths in millimetres, with the unit: see `require_length`.
     """
     for words, key in sorted(names.items(), key=lambda item: -len(item[0])):
         if not re.match(rf"{re.escape(words)}(?![\w.])", message):
             continue
         argument = words.split(" ", 1)[0]
-        if argument.endswith("_m") and " mm" not in message:
-            message = re.sub(rf"{NUMBER}(?! times)( m\b)?", _millimetres, message)
         message = key + message.removeprefix(words)
         if "_" not in argument:
             return message  # a plain word, which may have its plain meaning further on
         return re.sub(rf"(?<![\w.]){re.escape(argument)}(?!\w)", key.split(" ", 1)[0], message)
     return message
-
-
-def _millimetres(found: re.Match[str]) -> str:
-    """A length in metres as one in millimetres, with its unit where it had one."""
-    return f"{1e3 * float(found[0].removesuffix(' m')):.4g}" + (" mm" if found[1] else "")

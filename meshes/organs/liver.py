@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, require_length
 from meshes.shapes.sdf import Shape, box, capsule, difference, ellipsoid, half_space, intersection, sphere, union
 from meshes.tets.regions import Nodes, nodes_behind_plane, nodes_facing
 from meshes.tets.structured import graded, grid
@@ -138,10 +138,8 @@ def slab(
     InputError
         If a size is not positive, or the nodule is not inside or smaller than the spacing.
     """
-    x, y, z = (require_positive("size_m", s, "use (0.1, 0.1, 0.04)") for s in size_m)
-    spacing = require_positive("spacing_m", spacing_m, "use about a twentieth of the longest side")
-    if spacing > min(x, y, z):
-        raise InputError(f"spacing_m must not exceed the shortest side {min(x, y, z):g}, got {spacing:g}: use 4e-3")
+    x, y, z = (require_length("size_m", side, 0.0, math.inf, 0.1) for side in size_m)
+    spacing = require_length("spacing_m", spacing_m, 0.0, min(x, y, z), max(x, y, z) / 20.0)
     along_x, along_y = (np.linspace(-0.5 * side, 0.5 * side, max(round(side / spacing), 1) + 1) for side in (x, y))
     mesh = grid(along_x, along_y, graded(0.0, -z, 0.6 * spacing, 1.2)[::-1])
     if nodule is None:
@@ -175,9 +173,12 @@ def _drawn() -> Shape:
 
 def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) -> TetMesh:
     """The mesh with the nodule as a part of the volume of its ball, refused where the mesh could not show it."""
-    radius = require_positive("nodule.radius_m", nodule.radius_m, "use about 0.01")
+    radius = require_length("nodule.radius_m", nodule.radius_m, 0.0, math.inf, 0.01)
     if radius < spacing:
-        raise InputError(f"nodule.radius_m must be at least the spacing {spacing:g}, got {radius:g}: use a finer mesh")
+        raise InputError(
+            f"nodule.radius_m must give a ball of at least {2e3 * spacing:.4g} mm in diameter, two edges of the mesh, "
+            f"got {2e3 * radius:.4g} mm: use a finer mesh"
+        )
     deep = -float(shape.distance(np.array([nodule.centre_m], dtype=np.float64))[0])
     if not deep >= radius + spacing:
         raise InputError(

@@ -53,7 +53,9 @@ def bisected(
         middle, length = 0.5 * (nodes[a] + nodes[b]), np.linalg.norm(nodes[a] - nodes[b], axis=1)
         wanted = size_m(middle)
         if not (wanted > 0.0).all():
-            raise InputError(f"size_m must be positive everywhere, got {wanted.min()}: use a hundredth of the body")
+            raise InputError(
+                f"size_m must be positive everywhere, got {1e3 * wanted.min():.4g} mm: use a hundredth of the body"
+            )
         rank = np.empty(len(keys), dtype=np.int64)
         # Ties go by number, the same for every tetrahedron.
         rank[np.lexsort((keys, np.round(length / length.max(), 12)))] = np.arange(len(keys))
@@ -74,7 +76,8 @@ def bisected(
             return TetMesh(nodes, cells, part, mesh.part_names)
         if len(cells) + len(halved) > _MOST_CELLS:
             raise InputError(
-                f"size_m must leave at most {_MOST_CELLS} tetrahedra, got edges of {wanted.min():g} m: use longer ones"
+                f"size_m must leave at most {_MOST_CELLS} tetrahedra, got edges of {1e3 * wanted.min():.4g} mm: "
+                "use longer ones"
             )
         number = len(nodes) + np.cumsum(split) - 1
         nodes = np.concatenate([nodes, middle[split]])

@@ -5,13 +5,14 @@ of Freudenthal (1942). All bricks are cut alike and each face along its diagonal
 neighbours conform.
 """
 
+import math
 from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, require_length
 from meshes.tets.tetrahedra import TetMesh
 
 __all__ = ["box", "graded", "grid"]
@@ -37,7 +38,7 @@ def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
     """Box from the origin to `size_m` [m], shape (3,), of `cells` bricks along each axis, six tetrahedra each."""
     if len(cells) != 3 or min(cells) < 1:
         raise InputError(f"cells must be three numbers of at least 1, got {tuple(cells)}: use (4, 4, 4)")
-    sides = [require_positive("size_m", side, "use about 0.05") for side in size_m]
+    sides = [require_length("size_m", side, 0.0, math.inf, 0.05) for side in size_m]
     return grid(*(np.linspace(0.0, side, count + 1) for side, count in zip(sides, cells, strict=True)))
 
 

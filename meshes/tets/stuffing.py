@@ -6,12 +6,13 @@ The four-sided faces left between pieces are cut from their lowest node (Dompier
 and the pieces on both sides of a surface can be kept: that is how a part inside gets a surface of its own.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, require_length
 from meshes.base.simplices import compact
 from meshes.shapes.sdf import Shape
 from meshes.tets.checks import EDGES, mean_ratio, signed_volumes
@@ -44,20 +45,28 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     InputError
         If the shape has no end, or the spacing leaves nothing or too much.
     """
-    spacing = require_positive("spacing_m", spacing_m, "use about a twentieth of the longest side")
+    longest = max(np.subtract(shape.upper_m, shape.lower_m))
+    advised = longest / 20.0 if math.isfinite(longest) else 1e-3
+    spacing = require_length("spacing_m", spacing_m, 0.0, math.inf, advised)
     lower, upper = np.array(shape.lower_m), np.array(shape.upper_m)
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
         raise InputError("shape must have an end in every direction, got an endless one: intersect it with a box")
     if 12.0 * np.prod((upper - lower) / spacing + 2.0) > _MOST_CELLS:
+        # Twelve tetrahedra a cube, and a tenth more for the cubes around the body.
+        possible = 1.1 * float(12.0 * np.prod(upper - lower) / _MOST_CELLS) ** (1.0 / 3.0)
         raise InputError(
-            f"spacing_m must leave at most {_MOST_CELLS} cells, got {spacing:g}: use {spacing * 4:g} or more"
+            f"spacing_m must leave at most {_MOST_CELLS} tetrahedra, got {1e3 * spacing:.4g} mm: "
+            f"use {1e3 * possible:.2g} mm or more"
         )
     nodes, cells = _lattice(lower - 1.01 * spacing, upper + spacing, spacing)
     near = shape.distance(nodes) < 1.5 * spacing
     nodes, cells = compact(nodes, cells[near[cells].all(axis=1)])
     nodes, cells, within, _ = cut_by(nodes, cells, shape.distance)
     if not within.any():
-        raise InputError(f"spacing_m must be below the size of the shape, got {spacing:g}: use {spacing / 4:g} or less")
+        raise InputError(
+            f"spacing_m must be below the size of the shape, got {1e3 * spacing:.4g} mm: "
+            f"use {1e3 * advised:.2g} mm or less"
+        )
     return TetMesh(*compact(nodes, cells[within]))
 
 

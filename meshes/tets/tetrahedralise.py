@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from meshes.base.cache import cached_arrays
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError, require_length
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.repair import edge_counts
 from meshes.surfaces.surface import Surface
@@ -60,7 +60,7 @@ def tetrahedralise(
     volume = surface.report.volume_mm3 * 1e-9
     longest = 1e-3 * max(surface.report.size_mm)
     edge = _EDGE_PER_CELL * (volume / _CELLS) ** (1.0 / 3.0) if edge_m is None else edge_m
-    edge = require_range("edge_m", edge, longest / 200.0, longest / 2.0, f"use about {longest / 20.0:.2g}")
+    edge = require_length("edge_m", edge, longest / 200.0, longest / 2.0, longest / 20.0)
     sentences = []
     pinched = edge_counts(surface.faces)[1]
     if pinched:

@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from meshes.base.errors import in_callers_words
+import tissue
+from meshes.base.errors import in_callers_words, names_of_caller, require_length
 from meshes.organs.liver import Nodule, slab
 from meshes.tets.structured import box
 from tissue import InputError, load_scene, scene_names, scene_text, simulate
@@ -180,19 +181,25 @@ def test_the_ball_of_a_procedural_organ_is_a_part():
         load_scene("palpation", {"organ.parts": 80.0})
 
 
-def test_refusals_of_functions_below_come_in_keys_and_millimetres():
-    message = in_callers_words(
-        "edge_m must be in [0.001, 0.05], got 0.2: use about 0.01", {"edge_m": "anatomy.edge_mm"}
-    )
-    assert message == "anatomy.edge_mm must be in [1, 50], got 200: use about 10"
-    names = {"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}
-    assert (
-        in_callers_words(
-            "nodes_m must lie closer to each other under this tool, got an edge of 0.035 m, more than 16 times 0.002 m: mesh",
-            names,
-        )
-        == "anatomy.touch_edge_mm must give shorter edges under this tool, got an edge of 35 mm, more than 16 times 2 mm: mesh"
-    )
+def test_lengths_in_messages_have_the_unit_of_the_argument_the_user_wrote():
+    with pytest.raises(InputError) as refused, names_of_caller({"edge_m": "anatomy.edge_mm"}):
+        require_length("edge_m", 0.2, 1e-3, 0.05, 0.01)
+    assert str(refused.value) == "anatomy.edge_mm must be from 1 mm to 50 mm, got 200 mm: use about 10 mm"
+    for value in (0.0, -0.004, float("nan"), float("inf")):
+        with pytest.raises(InputError, match=f"got {1e3 * value:g} mm"):
+            require_length("edge_m", value, 0.0, float("inf"), 0.01)
+
+
+def test_counts_in_messages_are_not_scaled_with_lengths():
+    with pytest.raises(InputError, match=r"edge_mm .* 20000000 tetrahedra, got 0\.1 mm") as refused:
+        tissue.Organ.liver(edge_mm=0.1)
+    advised = float(re.search(r"use ([\d.]+) mm", str(refused.value))[1])
+    assert 0.5 < advised < 5.0
+    with pytest.raises(InputError, match=r"edge_mm .* 6 mm, got 50 mm"):
+        tissue.Organ.block(size_mm=(30, 20, 6), modulus_kPa=5.0, poisson_ratio=0.45, edge_mm=50)
+
+
+def test_names_of_arguments_are_replaced_by_those_of_the_caller():
     assert in_callers_words("file must exist, got file.stl: check", {"file": "anatomy.file"}) == (
         "anatomy.file must exist, got file.stl: check"
     )

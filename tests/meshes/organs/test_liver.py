@@ -97,13 +97,13 @@ def test_a_slab_takes_a_nodule(radius: float) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: liver(nodule=Nodule(0.005, (0.0, 0.0, -0.03))), "nodule.radius_m must be at least the spacing"),
+        (lambda: liver(nodule=Nodule(0.005, (0.0, 0.0, -0.03))), "nodule.radius_m must give a ball of at least"),
         (lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, -0.01))), "nodule.centre_m must lie at least"),
         (lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, 0.3))), "nodule.centre_m must lie at least"),
         (lambda: liver(nodule=Nodule(0.012, (0.0, 0.0, float("nan")))), "nodule.centre_m must lie at least"),
         (lambda: liver(spacing_m=1.0), "spacing_m must be below the size"),
-        (lambda: slab(size_m=(0.1, 0.1, 0.0)), "size_m must be positive"),
-        (lambda: slab(spacing_m=0.05), "spacing_m must not exceed the shortest side"),
+        (lambda: slab(size_m=(0.1, 0.1, 0.0)), "size_m must be positive and finite, got 0 mm"),
+        (lambda: slab(spacing_m=0.05), "spacing_m must be positive and at most 40 mm, got 50 mm"),
         (lambda: slab(nodule=Nodule(0.01, (0.045, 0.0, -0.02))), "nodule.centre_m must lie at least"),
     ],
 )
