@@ -233,4 +233,4 @@ def _page(fit: SceneFit, folder: Path) -> str:
         + better
         + f"<h2>Notes</h2>{listed(list(fit.sentences))}"
     )
-    return html_page(f"Fit of {escape(fit.name)}", body)
+    return html_page(f"Fit of {fit.name}", body)

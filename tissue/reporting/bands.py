@@ -1,7 +1,7 @@
 """The band of a run as HTML: intervals of its figures, and its pictures."""
 
 from base64 import b64encode
-from html import escape
+from collections.abc import Callable
 from typing import Any
 
 from tissue.simulation.run_folder import SavedRun
@@ -21,8 +21,11 @@ PICTURES = {"png": "image/png", "svg": "image/svg+xml"}
 """Formats that a page shows, with their types."""
 
 
-def band_section(saved: SavedRun) -> str:
-    """Heading, table and pictures of the band of a run; nothing of a run without."""
+def band_section(saved: SavedRun, text: Callable[[str], str]) -> str:
+    """Return heading, table and pictures of the band of a run, or nothing where the run has no band.
+
+    `text` makes HTML of a plain text.
+    """
     band: dict[str, Any] | None = saved.summary.get("band")
     if band is None or not saved.complete:
         return ""
@@ -33,7 +36,7 @@ def band_section(saved: SavedRun) -> str:
         rows.append(f"<tr><td>{label} / {unit}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     head = "".join(f"<th>{name}</th>" for name in ("figure", "this run", "median", "50 %", "90 %"))
     sentence = f"{len(band['constants'])} constants in their ranges. The error of the model itself is not in it."
-    lines = "".join(f"<li>{escape(line)}</li>" for line in band_lines(band))
+    lines = "".join(f"<li>{text(line)}</li>" for line in band_lines(band))
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
     return f"<h2>Bands</h2><p>{sentence}</p>{table}<ul>{lines}</ul>{_pictures(saved)}"
 
@@ -45,5 +48,5 @@ def _pictures(saved: SavedRun) -> str:
             path = saved.path / "pictures" / f"{name}.{ending}"
             if path.is_file():
                 data = b64encode(path.read_bytes()).decode()
-                found.append(f'<img src="data:{kind};base64,{data}" alt="{words}" style="max-width:100%">')
+                found.append(f'<img src="data:{kind};base64,{data}" alt="{words}">')
     return "".join(found)

@@ -12,12 +12,16 @@ from meshes.base.errors import InputError
 
 __all__ = ["empty_scene", "viewer_scripts"]
 
+STYLE_ELEMENT = "document.createElement('style')"
+"""Call by which the viewer adds styles for its own file dialogue, which the policy of a page does not allow."""
 ICONS = "https://kitware.github.io/vtk-js/icon/favicon-"
 """Begin of the addresses of icons that the viewer would fetch."""
 
 
-def viewer_scripts() -> str:
-    """The script elements of trame-vtk's static viewer, which offers ``OfflineLocalView``, without its icons.
+def viewer_scripts() -> tuple[list[str], list[str]]:
+    """Return the classic and the module scripts of trame-vtk's static viewer, without the icons that it would fetch.
+
+    They offer ``OfflineLocalView``.
 
     Raises
     ------
@@ -29,8 +33,13 @@ def viewer_scripts() -> str:
     text = file.read_text("utf-8") if file is not None and file.is_file() else ""
     if "OfflineLocalView" not in text:
         raise InputError("report must have the vtk.js viewer of trame-vtk, got none: pip install -U trame-vtk")
-    scripts = re.findall(r"<script\b[^>]*>.*?</script>", text, re.DOTALL)
-    return "\n".join(scripts).replace(ICONS, "data:,")
+    classic: list[str] = []
+    modules: list[str] = []
+    for attributes, script in re.findall(r"<script\b([^>]*)>(.*?)</script>", text, re.DOTALL):
+        kind = modules if "module" in attributes else classic
+        without_icons = script.replace(ICONS, "data:,")
+        kind.append(without_icons.replace(STYLE_ELEMENT, "document.createElement('template')"))
+    return classic, modules
 
 
 def empty_scene(parts: int) -> str:

@@ -1,8 +1,7 @@
 """The words of a report as HTML: figures, events, notes, materials, scene, versions."""
 
 from base64 import b64encode
-from collections.abc import Iterable, Sequence
-from html import escape
+from collections.abc import Callable, Iterable, Sequence
 
 from tissue.scene.used_constants import Used
 from tissue.simulation.run_folder import SavedRun
@@ -10,21 +9,23 @@ from tissue.simulation.run_summary import Summary
 
 __all__ = ["events_table", "figures_of", "materials_table", "notes_table", "reproduce", "status_of"]
 
+Text = Callable[[str], str]
+"""Function that makes HTML of a plain text: cleaned and escaped."""
 CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
 
 
-def status_of(saved: SavedRun) -> str:
+def status_of(saved: SavedRun, text: Text) -> str:
     """A sentence about what the run is, and one more where it did not come to its end."""
     scene = saved.scene
-    described = f"<p>{escape(scene.description)}</p>" if scene is not None and scene.description else ""
+    described = f"<p>{text(scene.description)}</p>" if scene is not None and scene.description else ""
     if saved.complete:
         return described
-    problem = f": {escape(saved.problem)}" if saved.problem else ""
-    sentence = f"This run is {escape(saved.status)}{problem}. What follows is what it left."
+    problem = f": {text(saved.problem)}" if saved.problem else ""
+    sentence = f"This run is {text(saved.status)}{problem}. What follows is what it left."
     return f'{described}<p class="verdict open">{sentence}</p>'
 
 
-def figures_of(saved: SavedRun) -> str:
+def figures_of(saved: SavedRun, text: Text) -> str:
     """Cards with the figures of a run that came to its end."""
     summary = saved.summary
     if not saved.complete:
@@ -49,10 +50,10 @@ def figures_of(saved: SavedRun) -> str:
     if "missed_deadlines" in summary:
         count = round(1e3 * summary["simulated_s"])
         cards.append(("ticks that took longer than 1 ms", f"{summary['missed_deadlines']} of {count}"))
-    return '<div class="cards">' + "".join(_card(label, value) for label, value in cards) + "</div>"
+    return '<div class="cards">' + "".join(_card(text(label), text(value)) for label, value in cards) + "</div>"
 
 
-def events_table(summary: Summary) -> str:
+def events_table(summary: Summary, text: Text) -> str:
     """Events with buttons that go to their moments."""
     events = summary.get("events", [])
     if not events:
@@ -61,22 +62,22 @@ def events_table(summary: Summary) -> str:
         (
             str(number),
             f'<button data-time="{event["time_s"]:.6f}">{event["time_s"]:.3f} s</button>',
-            escape(event["what"]),
+            text(event["what"]),
         )
         for number, event in enumerate(events, 1)
     ]
     return _table(("", "time", "what happened"), rows)
 
 
-def notes_table(summary: Summary) -> str:
+def notes_table(summary: Summary, text: Text) -> str:
     """What the run notes of its anatomy, tool and model, with what is not modelled."""
     notes = summary.get("notes", {})
     if not notes:
         return "<p>None.</p>"
-    return _table(("of", "note"), [(escape(str(name)), escape(str(note))) for name, note in notes.items()])
+    return _table(("of", "note"), [(text(str(name)), text(str(note))) for name, note in notes.items()])
 
 
-def materials_table(used: Sequence[Used]) -> str:
+def materials_table(used: Sequence[Used], text: Text) -> str:
     """Cited constants with value, range, source and confidence."""
     if not used:
         return "<p>This scene rests on no cited constant: what it is made of is stated in the scene itself.</p>"
@@ -88,7 +89,7 @@ def materials_table(used: Sequence[Used]) -> str:
             value = f"<b>{one.stated:g}</b> (scene; cited {value})"
         span = f"{one.cited.low:g} to {one.cited.high:g}"
         sure = CONFIDENCE.get(one.cited.confidence, one.cited.confidence)
-        rows.append((escape(one.of), escape(one.name), value, span, escape(sure), escape(one.cited.source)))
+        rows.append((text(one.of), text(one.name), value, span, text(sure), text(one.cited.source)))
     sentence = (
         f"<p>{len(used)} cited constants, {low} of them of low confidence (from memory of the literature, or assumed). "
         "The range is what is plausible; results move with it.</p>"
@@ -97,23 +98,24 @@ def materials_table(used: Sequence[Used]) -> str:
     return sentence + _table(header, rows, numbers=(2, 3))
 
 
-def reproduce(saved: SavedRun, text: str, versions: Iterable[tuple[str, str]]) -> str:
+def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
     """The scene as text, the commands that run it again, and versions."""
-    data = b64encode(text.encode()).decode("ascii")
+    data = b64encode(scene_text.encode()).decode("ascii")
     keep = f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as scene.toml</a>'
     commands = 'pip install "tissue-sim"\ntissue run scene.toml --out again\ntissue report again'
-    rows = [(escape(name), escape(value)) for name, value in versions]
+    rows = [(text(name), text(value)) for name, value in versions]
     return (
         f"<h2>Scene</h2><p>Everything that was used; {keep}. Files that it names are without their folders.</p>"
-        f"<details><summary>scene.toml</summary><pre>{escape(text)}</pre></details>"
-        f"<h2>Run it again</h2><pre>{escape(commands)}</pre>"
+        f"<details><summary>scene.toml</summary><pre>{text(scene_text)}</pre></details>"
+        f"<h2>Run it again</h2><pre>{text(commands)}</pre>"
         "<p>The same version of tissue gives the same trace bit for bit on the same kind of processor.</p>"
         f"<h2>Versions and machine</h2>{_table(('', ''), rows)}"
     )
 
 
 def _card(label: str, value: str) -> str:
-    return f'<div class="card"><span>{escape(label)}</span><b>{escape(value)}</b></div>'
+    """Return a card with a label and a value, both HTML already."""
+    return f'<div class="card"><span>{label}</span><b>{value}</b></div>'
 
 
 def _torque(torque_Nm: float) -> str:
@@ -123,7 +125,7 @@ def _torque(torque_Nm: float) -> str:
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()) -> str:
     """A table of cells that are HTML already; its columns of numbers align to the right."""
     look = [' class="number"' if column in numbers else "" for column in range(len(header))]
-    head = "".join(f"<th{look[column]}>{escape(name)}</th>" for column, name in enumerate(header))
+    head = "".join(f"<th{look[column]}>{name}</th>" for column, name in enumerate(header))
     body = "".join(
         "<tr>" + "".join(f"<td{look[column]}>{cell}</td>" for column, cell in enumerate(row)) + "</tr>" for row in rows
     )

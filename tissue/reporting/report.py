@@ -1,10 +1,12 @@
 """A saved run as one HTML file that needs no network: written by `tissue report` and `tissue.report`."""
 
 import json
+from collections.abc import Callable
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
@@ -28,11 +30,10 @@ NAME = "report.html"
 """File in a run's folder."""
 SCRIPTS = ("decode", "moment", "charts", "surfaces", "stage", "report")
 """Our own scripts, in the order in which they need each other."""
-POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
-    "base-uri 'none'; form-action 'none'"
-)
-"""What a browser lets the file do: nothing of it may ask any host."""
+PACKED = "data"
+"""Key under which `packing` keeps encoded arrays, which are no text."""
+Clean = Callable[[str], str]
+"""Function that takes the folders of files out of a text."""
 
 
 def write_report(
@@ -71,9 +72,10 @@ def write_report(
         raise InputError(f"out must not be there, got {out}: pass --overwrite to replace it or choose another --out")
     report("reading the run", 0.0)
     _require_whole(saved)
-    shown = stage(saved)
+    clean = _cleaner(saved)
+    shown = _cleaned({"stage": stage(saved), **_trace(saved)}, clean)
     report("writing the report", 0.8)
-    text = _without_folders(saved, _html(saved, {"stage": shown, **_trace(saved)}, scripts))
+    text = _html(saved, shown, scripts, clean)
     with whole_file(out) as temporary:
         temporary.write_text(text, "utf-8")
     return out
@@ -104,52 +106,84 @@ def _trace(saved: SavedRun) -> dict[str, object]:
     }
 
 
-def _html(saved: SavedRun, data: dict[str, object], scripts: str) -> str:
-    """The whole file."""
+def _html(saved: SavedRun, data: dict[str, Any], viewer: tuple[list[str], list[str]], clean: Clean) -> str:
+    """Return the whole file."""
     scene = saved.scene
     used = used_constants(scene, saved.summary.get("layers", ())) if scene is not None else []
     kept = saved.path / "scene.toml"
+    scene_text = clean(kept.read_text("utf-8")) if kept.is_file() else ""
+
+    def text(words: str) -> str:
+        return escape(clean(words))
+
     body = [
-        status_of(saved),
-        figures_of(saved),
+        status_of(saved, text),
+        figures_of(saved, text),
         "<h2>In 3D</h2>",
         _own("stage.html"),
         "<h2>Forces</h2>" + _own("charts.html") if data["trace"] else "<p>The run left no tick.</p>",
-        band_section(saved),
-        "<h2>Events</h2>" + events_table(saved.summary),
-        "<h2>Notes</h2>" + notes_table(saved.summary),
-        "<h2>Materials</h2>" + materials_table(used),
-        reproduce(saved, _without_folders(saved, kept.read_text("utf-8") if kept.is_file() else ""), _versions(saved)),
-        _scripts(data, scripts),
+        band_section(saved, text),
+        "<h2>Events</h2>" + events_table(saved.summary, text),
+        "<h2>Notes</h2>" + notes_table(saved.summary, text),
+        "<h2>Materials</h2>" + materials_table(used, text),
+        reproduce(scene_text, _versions(saved), text),
+        _data_element(data),
+        "<!-- vtk.js, copyright Kitware Inc., BSD-3-Clause, as trame-vtk ships it -->",
     ]
-    title = escape(str(saved.summary["scene"]))
-    head = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><link rel="icon" href="data:,">'
-    return html_page(title, "\n".join(body), style=_own("report.css"), head=head)
+    classic, modules = viewer
+    load = "if (window.OfflineLocalView) window.loadDataSet?.();"
+    return html_page(
+        clean(str(saved.summary["scene"])),
+        "\n".join(body),
+        style=_own("report.css"),
+        scripts=[_start(len(data["stage"]["parts"])), *classic, load],
+        modules=[*modules, "\n".join(_own(f"{name}.js") for name in SCRIPTS)],
+    )
 
 
-def _without_folders(saved: SavedRun, text: str) -> str:
-    """A text with the names of files alone: a report is handed over, and folders may be named after a patient."""
-    for folder in folders_of(saved.scene) if saved.scene is not None else ():
-        for written in (folder, folder.replace("\\", "\\\\"), escape(folder)):  # as it is, in TOML and JSON, in HTML
-            text = text.replace(written, "")
-    return text
+def _cleaner(saved: SavedRun) -> Clean:
+    """Return a function that leaves the names of files in a text and takes their folders out.
+
+    A report is handed over, and folders may be named after a patient. Texts are cleaned before they are put into the
+    page: the finished page holds markup and encoded arrays, in which a short folder occurs by chance.
+    """
+    folders = folders_of(saved.scene) if saved.scene is not None else []
+
+    def clean(text: str) -> str:
+        for folder in folders:
+            text = text.replace(folder, "")
+            text = text.replace(folder.replace("\\", "\\\\"), "")  # as TOML and JSON write a backslash
+        return text
+
+    return clean
 
 
-def _scripts(data: dict[str, object], viewer: str) -> str:
-    """The data, vtk.js with an empty scene, and our scripts; no text of the run can end its element."""
-    parts = data["stage"]["parts"]  # type: ignore[index]
+def _cleaned(value: Any, clean: Clean) -> Any:
+    """Return a value of JSON with all its texts cleaned, keys included, but for encoded arrays."""
+    if isinstance(value, str):
+        return clean(value)
+    if isinstance(value, dict):
+        return {
+            clean(key): each if key == PACKED and isinstance(each, str) else _cleaned(each, clean)
+            for key, each in value.items()
+        }
+    if isinstance(value, list | tuple):
+        return [_cleaned(each, clean) for each in value]
+    return value
+
+
+def _data_element(data: dict[str, Any]) -> str:
+    """Return the element that holds the data as JSON; no text of the run can end it."""
     written = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    start = (
+    return f'<script type="application/json" id="report-data">{written}</script>'
+
+
+def _start(part_count: int) -> str:
+    """Return the script that gives vtk.js an empty scene of so many parts."""
+    return (
         "window.global = window; window.loadDataSet = () => { window.loadDataSet = undefined; "
         "OfflineLocalView.load(document.getElementById('stage'), "
-        f'{{ base64Str: "{empty_scene(len(parts))}" }}); }};'
-    )
-    scripts_text = "\n".join(_own(f"{name}.js") for name in SCRIPTS)
-    return (
-        f'<script type="application/json" id="report-data">{written}</script>\n<script>{start}</script>\n'
-        "<!-- vtk.js, copyright Kitware Inc., BSD-3-Clause, as trame-vtk ships it -->\n"
-        f"{viewer}\n<script>if (window.OfflineLocalView) window.loadDataSet?.();</script>\n"
-        f'<script type="module">\n{scripts_text}\n</script>'
+        f'{{ base64Str: "{empty_scene(part_count)}" }}); }};'
     )
 
 

@@ -1,9 +1,11 @@
 """HTML files that need no other file: pictures embedded, one plain style for light and dark."""
 
 from base64 import b64encode
+from collections.abc import Sequence
+from hashlib import sha256
 from html import escape
 
-__all__ = ["html_page", "html_picture"]
+__all__ = ["html_page", "html_picture", "script_element"]
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1b1b; --paper: #fdfdfb; --soft: #666; --line: #ccc; --box: #f3f3ef; }
@@ -23,13 +25,56 @@ td { overflow-wrap: anywhere; } .what { white-space: nowrap; font-weight: 600; }
 """
 
 
-def html_page(title: str, body: str, *, style: str = "", head: str = "") -> str:
-    """A whole file of this title, with more style and elements of its head if need be."""
+def html_page(
+    title: str, body: str, *, style: str = "", scripts: Sequence[str] = (), modules: Sequence[str] = ()
+) -> str:
+    """Return a self-contained HTML file.
+
+    The page carries a content security policy that names its own style and scripts by their hashes. A browser
+    therefore runs no other script, even where markup of a user's text got into the body, and asks no host.
+
+    Parameters
+    ----------
+    title
+        Plain text, escaped here.
+    body
+        HTML. Texts in it are escaped by the caller.
+    style
+        CSS in addition to the style that all pages share.
+    scripts, modules
+        Classic scripts and module scripts, in the order in which they run, at the end of the body.
+    """
+    style = _plain_lines(STYLE + style)
+    programs = [*(script_element(text) for text in scripts), *(script_element(text, module=True) for text in modules)]
+    allowed = " ".join(_hash(_plain_lines(text)) for text in (*scripts, *modules)) or "'none'"
+    policy = (
+        f"default-src 'none'; script-src {allowed}; style-src {_hash(style)}; img-src data: blob:; "
+        "base-uri 'none'; form-action 'none'"
+    )
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"{head}<title>{title}</title><style>{STYLE}{style}</style></head><body>\n<h1>{title}</h1>\n{body}\n</body></html>\n"
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1"><link rel="icon" href="data:,">'
+        f"<title>{escape(title)}</title><style>{style}</style></head><body>\n<h1>{escape(title)}</h1>\n{body}\n"
+        + "\n".join(programs)
+        + "\n</body></html>\n"
     )
+
+
+def script_element(text: str, *, module: bool = False) -> str:
+    """Return a script element whose text has the hash that `html_page` allows."""
+    kind = ' type="module"' if module else ""
+    return f"<script{kind}>{_plain_lines(text)}</script>"
+
+
+def _plain_lines(text: str) -> str:
+    """Return a text with line feeds alone, because a browser normalises them before it computes a hash."""
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _hash(text: str) -> str:
+    """Return the source expression of a policy that allows this text inline."""
+    return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode('ascii')}'"
 
 
 def html_picture(title: str, png: bytes) -> str:

@@ -78,7 +78,7 @@ def test_a_surface_that_crosses_itself_is_filled_as_a_union_and_reported() -> No
 
 @pytest.mark.parametrize("edge", [-1.0, float("nan"), 1e-6, 1.0])
 def test_an_edge_that_does_not_suit_is_refused(edge: float) -> None:
-    with pytest.raises(InputError, match="edge_m must be from .* mm to"):
+    with pytest.raises(InputError, match=r"edge_m must be from .* mm to"):
         tetrahedralise(ball(), edge_m=edge)
 
 

@@ -3,10 +3,12 @@
 import json
 import re
 import shutil
+import tomllib
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+import tomli_w
 
 import tissue
 from meshes.base.errors import InputError
@@ -54,7 +56,7 @@ def test_a_report_is_one_small_file_that_loads_nothing(report_of, name):
         for key in ("src", "href", "srcset", "action", "data", "poster"):
             assert (attributes.get(key) or "data:").startswith("data:"), (tag, attributes)
     policy = next(each["content"] for tag, each in elements.found if each.get("http-equiv"))
-    assert policy.startswith("default-src 'none'") and "http" not in policy
+    assert policy.startswith("default-src 'none'") and "http" not in policy and "unsafe" not in policy
     assert "kitware.github.io/vtk-js/icon" not in page
 
 
@@ -87,11 +89,48 @@ def test_text_of_a_run_is_never_markup(run_folder, tmp_path):
     page = report(folder).read_text("utf-8")
     elements = Elements(page)
     assert nasty in " ".join(elements.text)
-    assert "alert(1)" not in page.split("</style>")[1].split("<pre>")[0].replace("&lt;script&gt;alert(1)", "")
+
     assert not [tag for tag, _ in elements.found if tag == "img"]
     plain = Elements(report(run_folder("wall"), tmp_path / "plain.html").read_text("utf-8"))
     assert [tag for tag, _ in elements.found].count("script") == [tag for tag, _ in plain.found].count("script")
     assert data_of(page)["events"][0]["what"] == nasty
+
+
+def described(run_folder, tmp_path, description, **summary):
+    """Copy of the run of the wall with another description and other entries of its summary."""
+    folder = tmp_path / "described"
+    shutil.copytree(run_folder("wall"), folder)
+    scene = tomllib.loads((folder / "scene.toml").read_text("utf-8")) | {"description": description}
+    (folder / "scene.toml").write_text(tomli_w.dumps(scene), "utf-8")
+    written = json.loads((folder / "summary.json").read_text()) | summary
+    (folder / "summary.json").write_text(json.dumps(written))
+    return folder
+
+
+def test_a_description_that_looks_like_a_folder_removes_no_markup(run_folder, tmp_path):
+    """An absolute path in a scene is taken out of texts; it must never be taken out of the page's own markup."""
+    plain = report(run_folder("wall"), tmp_path / "plain.html").read_text("utf-8")
+    start = plain.index('/json" id="report-data">')
+    markup = plain[start : plain.index("/", start + 1) + 1]
+    folder = described(run_folder, tmp_path, f"{markup}x", events=[{"time_s": 0.1, "what": f"{markup} here"}])
+    page = report(folder).read_text("utf-8")
+    types = [each.get("type") for tag, each in Elements(page).found if tag == "script"]
+    assert types.count("application/json") == 1
+    assert data_of(page)["trace"]["rows"] > 100
+    assert data_of(page)["events"][0]["what"] == " here"
+
+
+@pytest.mark.parametrize("folder", ["/s/", "/A/", "/json/", "/g/"])
+def test_a_short_folder_leaves_the_data_of_the_page_alone(run_folder, tmp_path, folder):
+    named = described(run_folder, tmp_path, f"{folder}patient", notes={"anatomy": f"read from {folder}head.stl"})
+    data, plain = (
+        data_of(report(each, tmp_path / "page.html", overwrite=True).read_text("utf-8"))
+        for each in (named, run_folder("wall"))
+    )
+    assert data["trace"] == plain["trace"]
+    assert data["stage"] == plain["stage"]
+    text = " ".join(Elements((tmp_path / "page.html").read_text("utf-8")).text)
+    assert f"read from {folder}" not in text
 
 
 def test_a_file_that_is_there_is_kept(run_folder, tmp_path):

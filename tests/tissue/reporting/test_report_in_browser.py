@@ -1,10 +1,15 @@
 """A report in headless Chromium without a network: it shows something, turns, plays, zooms, and complains of nothing."""
 
 import io
+import json
 import shutil
+import tomllib
 
 import numpy as np
 import pytest
+import tomli_w
+
+from tissue.api.report import report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 ARGUMENTS = [
@@ -113,6 +118,44 @@ def test_a_report_shows_turns_and_plays(opened, name):
     wait_for_slider(page, 500)
     page.locator("#play").click()
     assert changed(start, pixels(page)) > 0.0005, "playing changes nothing"
+
+
+HOSTILE = (
+    "</script><script>window.hit = 1</script>",
+    "<img src=x onerror='window.hit = 1'>",
+    "</style><svg onload='window.hit = 1'>",
+    "javascript:window.hit = 1",
+    "<!--<script>",
+    "]]>'\"`${window.hit = 1}",
+)
+
+
+def test_hostile_texts_run_no_script(browser, run_folder, tmp_path):
+    """Texts of a run appear as text; a script that gets into the body all the same is refused by the policy."""
+    folder = tmp_path / "run"
+    shutil.copytree(run_folder("milling"), folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    nasty = " ".join(HOSTILE)
+    summary |= {"scene": nasty, "machine": nasty, "notes": dict.fromkeys(HOSTILE, nasty)}
+    summary["events"] = [{"time_s": 0.1, "what": each} for each in HOSTILE]
+    (folder / "summary.json").write_text(json.dumps(summary))
+    scene = tomllib.loads((folder / "scene.toml").read_text("utf-8")) | {"description": nasty}
+    (folder / "scene.toml").write_text(tomli_w.dumps(scene), "utf-8")
+    page = report(folder).read_text("utf-8")
+    injected = tmp_path / "injected.html"
+    injected.write_text(
+        page.replace("<h2>Events</h2>", "<script>window.hit = 1</script><img src=x onerror='window.hit=1'>")
+    )
+    for file, texts_shown in ((folder / "report.html", True), (injected, False)):
+        context = browser.new_context(offline=True)
+        tab = context.new_page()
+        tab.goto(file.as_uri())
+        tab.wait_for_selector("#stage[data-ready]", timeout=START_MS)
+        assert tab.evaluate("window.hit === undefined")
+        if texts_shown:
+            assert tab.locator("h1").inner_text() == nasty
+            assert tab.locator("img").count() == 0
+        context.close()
 
 
 def test_charts_zoom_and_go_to_moments(opened):
