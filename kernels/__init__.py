@@ -2,8 +2,11 @@
 
 import os
 import sys
+from pathlib import Path
 
 import warp as wp
+
+from kernels.cache_check import remove_damaged
 
 
 def _start() -> None:
@@ -18,6 +21,7 @@ def _start() -> None:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
+    remove_damaged(Path(wp.config.kernel_cache_dir))
 
 
 _start()

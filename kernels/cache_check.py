@@ -1,0 +1,95 @@
+"""Check of Warp's on-disk cache of compiled kernels.
+
+Warp loads the files in its cache without a check. An entry that a full disk or a crash damaged would break every later
+process. Entries are verified when `kernels` is imported. A damaged entry is removed, and Warp compiles it again.
+"""
+
+import json
+import os
+import shutil
+import struct
+from contextlib import suppress
+from hashlib import blake2b
+from pathlib import Path
+from uuid import uuid4
+
+__all__ = ["MANIFEST", "remove_damaged"]
+
+MANIFEST = "checksums.json"
+"""File in an entry that holds the checksum of each of its other files, as they were when they were first seen."""
+CHECKED = (".o", ".meta", ".ptx", ".cubin")
+"""Endings of the files that Warp loads; sources are written for reading alone."""
+ELF_MAGIC = b"\x7fELF\x02\x01"
+"""First bytes of a little-endian 64-bit ELF object."""
+
+
+def remove_damaged(cache: Path) -> list[str]:
+    """Remove damaged entries from a cache of compiled kernels and return their names.
+
+    An entry is damaged if a file differs from its checksum. A file without a checksum is new: it is damaged if its
+    structure is incomplete, and otherwise its checksum is recorded. A cache that cannot be read or written is left as
+    it is, because Warp reports that itself.
+    """
+    removed = []
+    with suppress(OSError):
+        for entry in sorted(cache.glob("wp_*")):
+            if entry.is_dir() and not _is_whole(entry):
+                shutil.rmtree(entry, ignore_errors=True)
+                removed.append(entry.name)
+    return removed
+
+
+def _is_whole(entry: Path) -> bool:
+    """Return whether the files of an entry are as they were written."""
+    known = _read_manifest(entry / MANIFEST)
+    found: dict[str, str] = {}
+    for file in sorted(entry.iterdir()):
+        if file.suffix not in CHECKED:
+            continue
+        if not file.is_file():
+            return False
+        content = file.read_bytes()
+        found[file.name] = blake2b(content, digest_size=16).hexdigest()
+        if file.name in known and known[file.name] != found[file.name]:
+            return False
+        if file.name not in known and not _is_complete(file.suffix, content):
+            return False
+    if found != known:
+        _write_manifest(entry / MANIFEST, found)
+    return True
+
+
+def _is_complete(ending: str, content: bytes) -> bool:
+    """Return whether a file of a new entry has the structure of its kind from beginning to end."""
+    if not content:
+        return False
+    if ending == ".meta":
+        try:
+            return isinstance(json.loads(content), dict)
+        except ValueError:
+            return False
+    if ending == ".o" and os.name == "posix" and not content.strip(b"\0"):
+        return False
+    if content.startswith(ELF_MAGIC) and len(content) >= 64:
+        # The section table ends the file: offset at byte 40, size and number of its rows at bytes 58 and 60.
+        (table_offset,) = struct.unpack_from("<Q", content, 40)
+        row_size, row_count = struct.unpack_from("<HH", content, 58)
+        return table_offset + row_size * row_count <= len(content)
+    return not content.startswith(ELF_MAGIC)
+
+
+def _read_manifest(file: Path) -> dict[str, str]:
+    """Return the checksums of an entry by file name; a manifest that cannot be read counts as none."""
+    try:
+        stored = json.loads(file.read_text("utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return stored if isinstance(stored, dict) else {}
+
+
+def _write_manifest(file: Path, checksums: dict[str, str]) -> None:
+    """Write the checksums in one step, so that another process reads them whole or not at all."""
+    temporary = file.with_name(f"{uuid4().hex[:12]}-{MANIFEST}")
+    with suppress(OSError):
+        temporary.write_text(json.dumps(checksums), "utf-8")
+        temporary.replace(file)

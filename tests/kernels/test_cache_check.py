@@ -1,0 +1,92 @@
+"""A damaged entry of Warp's kernel cache is compiled anew instead of breaking every later process."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+import kernels.sampling
+from kernels.cache_check import MANIFEST, remove_damaged
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = """
+import warp as wp
+import kernels.sampling
+wp.load_module(kernels.sampling, device="cpu")
+print("loaded")
+"""
+
+
+def run(cache):
+    """Load a kernel of the project in a process of its own; return its exit code and output."""
+    environment = os.environ | {"WARP_CACHE_PATH": str(cache), "PYTHONPATH": str(ROOT)}
+    ended = subprocess.run(
+        [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    return ended.returncode, ended.stdout.split("\n")[0], ended.stderr
+
+
+@pytest.fixture
+def cache(tmp_path):
+    """Cache with one compiled module, copied from the cache of the tests, with its checksums."""
+    wp.load_module(kernels.sampling, device="cpu")
+    whole = Path(wp.config.kernel_cache_dir)
+    entry = max(whole.glob("wp_kernels.sampling_*"), key=lambda each: each.stat().st_mtime)
+    copied = tmp_path / whole.name  # Warp adds its version to the folder that it is given
+    shutil.copytree(entry, copied / entry.name)
+    assert remove_damaged(copied) == []
+    assert (copied / entry.name / MANIFEST).is_file()
+    return copied
+
+
+def truncate(content):
+    return content[: len(content) // 3]
+
+
+def flip(content):
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 0xFF]) + content[middle + 1 :]
+
+
+DAMAGE = {
+    "empty": lambda content: b"",
+    "truncated": truncate,
+    "zeros": lambda content: bytes(len(content)),
+    "one byte": flip,
+}
+STRUCTURAL = ("empty", "truncated", "zeros")
+"""Damage that shows without a checksum."""
+
+
+@pytest.mark.parametrize(
+    ("damage", "recorded"), [(name, True) for name in DAMAGE] + [(name, False) for name in STRUCTURAL]
+)
+@pytest.mark.parametrize("ending", [".o", ".meta"])
+def test_a_damaged_entry_is_found(cache, ending, damage, recorded):
+    (file,) = cache.rglob(f"*{ending}")
+    if not recorded:
+        (file.parent / MANIFEST).unlink()
+    file.write_bytes(DAMAGE[damage](file.read_bytes()))
+    assert remove_damaged(cache) == [file.parent.name]
+    assert not file.parent.exists()
+
+
+def test_whole_entries_are_kept(cache):
+    (file,) = cache.rglob("*.o")
+    before = {path: path.read_bytes() for path in file.parent.iterdir()}
+    assert remove_damaged(cache) == []
+    assert {path: path.read_bytes() for path in file.parent.iterdir()} == before
+
+
+@pytest.mark.slow
+def test_a_process_recompiles_a_damaged_entry(cache):
+    (file,) = cache.rglob("*.o")
+    whole = file.stat().st_size
+    file.write_bytes(truncate(file.read_bytes()))
+    code, out, error = run(cache.parent)
+    assert (code, out) == (0, "loaded"), error
+    assert file.stat().st_size == whole
