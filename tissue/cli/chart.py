@@ -81,12 +81,14 @@ def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> 
 
 def _prediction(scenes: list[str], folder: Path, *, trials: int, overwrite: bool) -> None:
     """`tissue chart prediction`."""
-    from tissue.evaluation.charts.prediction import chart_prediction, comparison_lines
+    from tissue.evaluation.charts.prediction import chart_prediction, comparison_lines, predictable
     from tissue.scene.load import load_scene
 
-    loaded = [load_scene(name) for name in scenes]
+    able, notes = predictable([load_scene(name) for name in scenes])
+    for note in notes:
+        console.print(note)
     with output_locked(folder, folder=True), progress() as report:
-        found = chart_prediction(loaded, folder, trials=trials, overwrite=overwrite, report=report)
+        found = chart_prediction(able, folder, trials=trials, overwrite=overwrite, report=report)
     console.print(*comparison_lines(found), sep="\n")
     console.print(f"pictures and tables in {folder}")
 

@@ -10,8 +10,10 @@ from meshes.base.errors import InputError
 from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.edmd.predictor_file import read_predictor, write_predictor
 
-__all__ = ["VALIDATED_AT", "Trained", "shipped_file"]
+__all__ = ["VALIDATED_AT", "Trained", "is_trained", "shipped_file"]
 
+SHIPPED = Path(__file__).parent / "trained"
+"""Folder of the predictors that ship with the engine, one file a scene."""
 VALIDATED_AT = 6
 """Whole ticks ahead at which predictors are compared in training: the lead of 4 ms of latency, which is 6.11 ticks on a
 touch with its path to the motor, see `tissue.builders.loop.lead_ticks`."""
@@ -92,15 +94,19 @@ def shipped_file(scene: str) -> Path:
     InputError
         If there is none.
     """
-    folder = Path(__file__).parent / "trained"
-    path = folder / f"{scene}.npz"
+    path = SHIPPED / f"{scene}.npz"
     if not path.is_file():
-        known = ", ".join(sorted(each.stem for each in folder.glob("*.npz")))
+        known = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.npz")))
         raise InputError(
             f"coupling.predictor_file must be given for a scene other than {known}, got nothing for {scene}: write one "
             f"with 'tissue train {scene} --out FILE'"
         )
     return path
+
+
+def is_trained(scene: str, file: str = "") -> bool:
+    """Return whether a trained predictor is known for a scene: its own file, or one that ships with the engine."""
+    return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 
 
 def _rounded(operator: Operator) -> Operator:

@@ -20,12 +20,12 @@ from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.haptics.device.device import device_parameters
 from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.predictor import Predictor
-from tissue.prediction.trained import Trained, shipped_file
+from tissue.prediction.trained import Trained, is_trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
 from tissue.system.outputs import prepare_folder
 
-__all__ = ["OURS", "Interval", "PredictorComparison", "chart_prediction", "compare", "comparison_lines", "interval"]
+__all__ = ["OURS", "Interval", "PredictorComparison", "chart_prediction", "compare", "comparison_lines", "interval", "predictable"]
 
 FIRST_SEED = 10_000
 """Seeds of unseen runs begin here; training uses those from 0 on."""
@@ -161,6 +161,25 @@ def _cost_us(make: Callable[[], Predictor], run: Recording) -> tuple[float, floa
         predictor.predict(DELAY_MS)
         times.append(perf_counter() - start)
     return 1e6 * float(np.median(times)), 1e6 * float(np.quantile(times, 0.99))
+
+
+def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
+    """Return the scenes that have a trained predictor, and a note for each of the others.
+
+    Raises
+    ------
+    InputError
+        If no scene has one.
+    """
+    able = [scene for scene in scenes if is_trained(scene.name, scene.coupling.predictor_file)]
+    notes = [
+        f"{scene.name} is left out: no trained predictor. Train one with 'tissue train {scene.name}'."
+        for scene in scenes
+        if scene not in able
+    ]
+    if not able:
+        raise InputError(" ".join(notes))
+    return able, notes
 
 
 def chart_prediction(

@@ -5,13 +5,14 @@ from dataclasses import dataclass, field
 from itertools import product
 
 from tissue.builders.cutting import cutter_of
+from tissue.prediction.trained import is_trained
 from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy
 from tissue.scene.registry import PREDICTORS, RENDERERS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
-__all__ = ["LATENCY_MS", "Setting", "by_hand", "finest", "grids", "refined", "settings_of", "shares"]
+__all__ = ["LATENCY_MS", "Setting", "by_hand", "finest", "grids", "refined", "settings_of", "shares", "untrained"]
 
 LATENCY_MS = 4
 """Latency at which loops are compared where a scene has none, the mean that the paper reports being 4.3 ms."""
@@ -61,6 +62,13 @@ def by_hand(scene: Scene) -> Scene:
     if scene.coupling.delay_ms == 0:
         changes["coupling.delay_ms"] = LATENCY_MS
     return changed(scene, changes)
+
+
+def untrained(scene: Scene) -> tuple[str, ...]:
+    """Return the predictors that cannot serve a scene because they need training and no file of it is known."""
+    if is_trained(scene.name, scene.coupling.predictor_file):
+        return ()
+    return tuple(kind for kind in PREDICTORS if PREDICTORS[kind].trained)
 
 
 def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
@@ -197,8 +205,11 @@ def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
     for law in RENDERERS:
         if not quick or law == "proxy":
             yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"}, lost)
+    missing = untrained(scene)
     for kind in PREDICTORS.names[1:]:
-        if not quick or kind in ("kalman", "koopman"):
+        if kind not in missing and (not quick or kind in ("kalman", "koopman")):
             yield Setting(kind, "loop", plain | {"prediction": kind}, lost)
-    for kind in ("hold", "koopman") if quick else PREDICTORS:
+    for kind in PREDICTORS:
+        if kind in missing or (quick and kind not in ("hold", "koopman")):
+            continue
         yield Setting(f"100 Hz, {kind}", "loop", plain | {"prediction": kind, "coupling.model_ms": 10}, lost)
