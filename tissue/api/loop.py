@@ -154,7 +154,7 @@ class Loop:
             start_m = 1e-3 * require_vector("start_mm", np.asarray(start_mm, dtype=np.float64))
         reach_m = 1e-3 * require_range("reach_mm", reach_mm, 0.5, 100.0, "use 5")
         settings = settings_of(
-            type(device).__name__,
+            device,
             limits,
             hand=hand,
             materials=Materials.of(materials),

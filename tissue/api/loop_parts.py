@@ -16,13 +16,14 @@ from tissue.api.bone import Bone
 from tissue.api.organ import Organ
 from tissue.api.tools import PressingTool
 from tissue.builders.bone import VoxelBone, tool_boxes
-from tissue.builders.loop_settings import Contact, LoopSettings
+from tissue.builders.device import require_stated_rate
+from tissue.builders.loop_settings import Contact, LoopSettings, sampled
 from tissue.builders.prediction import predictor as predictor_by_name
 from tissue.cutters import Cutter
-from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.materials.scene_constants import Materials
-from tissue.models.tissue_model import TICK_S, TissueModel, ToolMotion
+from tissue.models.tissue_model import TissueModel, ToolMotion
 from tissue.motion.motion import frame_along
 from tissue.prediction.outside import GuardedMaker, Observes
 from tissue.prediction.predictor import Predictor
@@ -146,7 +147,7 @@ def require_match(tissue: object, tool: object) -> None:
 
 
 def settings_of(
-    device: str,
+    device: Device,
     limits: str | DeviceParameters | Mapping[str, float],
     *,
     hand: str,
@@ -173,8 +174,8 @@ def settings_of(
             "limits must be a device's name, tissue.DeviceParameters or a mapping of its numbers, got "
             f"{type(limits).__name__}: give one of these"
         )
-    if abs(1.0 / numbers.rate_Hz - TICK_S) > 1e-9:
-        raise InputError(f"limits must have a rate of {1.0 / TICK_S:g} Hz, got {numbers.rate_Hz:g}: sample it so often")
+    numbers = sampled(numbers)
+    require_stated_rate(device, numbers, remedy="give this rate_Hz by limits")
     if isinstance(predictor, type):
         name = predictor.__name__
         raise InputError(f"predictor must be an object, got the class {name}: give {name}()")
@@ -189,7 +190,7 @@ def settings_of(
             return None
         if isinstance(predictor, str):
             file = str(predictor_file or "")
-            return predictor_by_name(predictor, scene_name="", file=file, force_limit_N=limit_N, tick_s=TICK_S)
+            return predictor_by_name(predictor, scene_name="", file=file, force_limit_N=limit_N)
         return GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))(None, limit_N)
 
     given = {name: value for name, value in coupling.items() if value is not None}
@@ -200,7 +201,7 @@ def settings_of(
         fault["loc"] = ("coupling", *fault["loc"])
         raise InputError(sentence(fault, {"coupling": given}).removeprefix("coupling.")) from None
     return LoopSettings(
-        device,
+        type(device).__name__,
         numbers,
         hand,
         hand_parameters(hand, materials),

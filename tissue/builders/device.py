@@ -2,13 +2,14 @@
 
 from meshes.base.errors import InputError
 from tissue.builders.registry import motion_of
-from tissue.haptics.device.device import Device
+from tissue.haptics.device.device import Device, DeviceParameters
+from tissue.haptics.device.safe_device import SafeDevice
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.named_parts import loaded
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 
-__all__ = ["opened_device", "opens_device"]
+__all__ = ["opened_device", "opens_device", "require_stated_rate"]
 
 
 def opens_device(scene: Scene) -> bool:
@@ -40,3 +41,23 @@ def opened_device(scene: Scene) -> Device | None:
             f"{scene.device}: see `tissue.haptics.device.device.Device`"
         )
     return device
+
+
+def require_stated_rate(device: Device | SafeDevice, limits: DeviceParameters, *, remedy: str) -> None:
+    """Refuse a device that states fewer samples a second than the constants by which its loop is judged.
+
+    A device states its rate by ``limits`` or ``parameters``; a device without either is taken at the constants' rate.
+
+    Raises
+    ------
+    InputError
+        If the device is slower than its constants.
+    """
+    held = device.device if isinstance(device, SafeDevice) else device
+    for name in ("limits", "parameters"):
+        own = getattr(held, name, None)
+        if isinstance(own, DeviceParameters) and own.rate_Hz < min(limits.rate_Hz, 1.0 / TICK_S) * (1.0 - 1e-6):
+            raise InputError(
+                f"device must give the {limits.rate_Hz:g} samples a second of its constants, got "
+                f"{own.rate_Hz:g} by {type(held).__name__}: {remedy}"
+            )

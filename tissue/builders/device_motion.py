@@ -19,6 +19,7 @@ from tissue.haptics.proxy.held_tool import HeldTool, PressingTool
 from tissue.haptics.proxy.held_turn import HeldTurn
 from tissue.haptics.proxy.probing_tool import ProbingTool
 from tissue.haptics.renderer import TurningRenderer, renderer
+from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import Motion
 from tissue.perception.enhancement import EnhancedForce
 from tissue.perception.perception import Perception
@@ -81,6 +82,7 @@ def device_motion(
     judged, turning = judged_loops(settings, step_s=step_s, allow_unstable=allow_unstable)
     # As energy is booked: from a sample to the force that answers it, without a balance that is found late.
     loop = replace(judged.loop, delay_s=limits.transport_delay_s + 1e-3 * chosen.delay_ms)
+    in_ticks = replace(loop, tick_s=TICK_S)  # for what runs in every tick, however seldom the device is sampled
     spring = judged.loop.stiffness_N_m / (scale * force_scale)
     turn = HeldTurn(turning.loop.stiffness_N_m * scale / force_scale if turning else inf)
     tool = _tool(settings, spring, scripted.sweep_m()[0], turn)
@@ -88,12 +90,14 @@ def device_motion(
     motion = HandMotion(
         device(tool, judged.loop.stiffness_N_m),
         tool,
-        renderer(settings.renderer, loop),
+        renderer(settings.renderer, in_ticks),
         scripted=scripted,
         limits=limits,
         loop=loop,
         delay_ticks=chosen.delay_ms,
-        turning_law=TurningRenderer(renderer(settings.renderer, turning.loop)) if turning else None,
+        turning_law=TurningRenderer(renderer(settings.renderer, replace(turning.loop, tick_s=TICK_S)))
+        if turning
+        else None,
         motion_scale=scale,
         margin=judged.verdict.margin,
         stray_m=stray_m,
@@ -126,15 +130,15 @@ def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldT
 
 def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
     """What is made of a force before the device: for a person, and of a cutter's teeth and events at the tool."""
-    limits, tick_s, asked, teeth = settings.limits, settings.tick_s, settings.enhancing, settings.vibration
-    limit_N, slew_N = limits.force_limit_N, 1e3 * tick_s * limits.force_slew_N_ms
-    vibration = None if teeth is None else PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N, step_s=tick_s)
+    limits, asked, teeth = settings.limits, settings.enhancing, settings.vibration(TICK_S)
+    limit_N, slew_N = limits.force_limit_N, 1e3 * TICK_S * limits.force_slew_N_ms
+    vibration = None if teeth is None else PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N, step_s=TICK_S)
     if asked is None:
         return PlayedForce(limits, perception=person, vibration=vibration)
     return PlayedForce(
         limits,
-        enhancement=EnhancedForce(asked.lift, asked.contrast, tick_s=tick_s) if asked.maps else None,
+        enhancement=EnhancedForce(asked.lift, asked.contrast, tick_s=TICK_S) if asked.maps else None,
         perception=person,
         vibration=vibration,
-        cues=Cues(asked.cue_N, limit_N=limit_N, slew_N=slew_N, tick_s=tick_s) if asked.cue_N > 0.0 else None,
+        cues=Cues(asked.cue_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK_S) if asked.cue_N > 0.0 else None,
     )

@@ -50,7 +50,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
         path, push = _aims(scene, scripted, tool, limits, person, stiffness_N_m, step_s=step_s)
         turn = _turn(scripted, step_s=step_s) if isinstance(scene.motion, ReplayMotion) else None
         at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731
-        hand = Hand(person, at_device, rng=rng, step_s=settings.tick_s, push=push, turn=turn)
+        hand = Hand(person, at_device, rng=rng, step_s=settings.sample_s, push=push, turn=turn)
         x, y, z = start.tolist()
         return SimulatedDevice(limits, hand, position_m=(x, y, z))
 

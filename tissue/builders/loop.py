@@ -1,7 +1,7 @@
 """The loops of a device, for its positions and for its turns, judged before it runs."""
 
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import ceil, isfinite
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from tissue.haptics.loop.filters import VELOCITY_MEMORY
 from tissue.haptics.loop.forecast import Forecast, forecast_of
 from tissue.haptics.loop.motor_path import motor_lag_ticks
 from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.models.tissue_model import TICK_S
 from tissue.prediction.guard import Guarded
 
 __all__ = [
@@ -118,15 +119,24 @@ def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     A tool that cuts or only touches bone, or presses a tissue that knows its stiffness, answers in the tick of the
     sample; on another organ its balance is found a tick later. Of a guarded predictor and of what it hands over to, the
     one counts that bears less stiffness. What is played of a cutter's teeth counts as far as it goes with the force.
+
+    A slow device holds each force until its next sample, so its loop is judged at its own rate.
+
+    Raises
+    ------
+    InputError
+        If the device is slow and the renderer or the prediction needs a sample in every tick.
     """
     limits, chosen = settings.limits, settings.coupling
+    if settings.is_slow and settings.renderer == "passivity":
+        raise _too_slow(settings, "renderer = passivity", "renderer = proxy or penalty")
     loop = limits.loop(
         1.0,
         wall_damping_N_s_m=chosen.damping_N_s_m,
         filter_s=1e-3 * settings.low_pass_ms,
-        model_ticks=chosen.model_ms,
+        model_ticks=_model_samples(settings),
     )
-    loop = replace(loop, velocity_memory=VELOCITY_MEMORY, vibration=settings.vibration)
+    loop = replace(loop, velocity_memory=VELOCITY_MEMORY, vibration=settings.vibration(loop.tick_s))
     hand = settings.person.grip[:3]
     loops = [replace(_delayed(settings, loop, step_s * settings.late), forecast=each) for each in _forecasts(settings)]
     loop = min(loops, key=lambda each: critical_stiffness_N_m(in_hands(each, [hand])[0])) if loops[1:] else loops[0]
@@ -141,7 +151,8 @@ def lead_ticks(settings: LoopSettings) -> float:
 def motor_path(settings: LoopSettings) -> WallLoop:
     """The path of a force to the motor: low-pass, latency, transport, hold and amplifier."""
     loop = settings.limits.loop(1.0, filter_s=1e-3 * settings.low_pass_ms)
-    return _delayed(settings, loop, 0.0)
+    # The force is made in every tick; a slow device holds it longer, half of that time in the mean.
+    return _delayed(settings, replace(loop, tick_s=TICK_S), 0.5 * (loop.tick_s - TICK_S))
 
 
 def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
@@ -149,6 +160,8 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     predictor, chosen, limits = settings.predictor(), settings.coupling, settings.limits
     if predictor is None:
         return [None]
+    if settings.is_slow:
+        raise _too_slow(settings, "a prediction", "prediction = none")
     limit = limits.stiffness_limit_N_m
     stiffness = chosen.stiffness_N_m or (limit if isfinite(limit) else USUAL_N_M)
     return [
@@ -167,7 +180,7 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
 def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
     """The same for turns: but for a tool that only touches, their balance is found a tick later."""
     limits, chosen = settings.limits, settings.coupling
-    loop = limits.turning_loop(1.0, filter_s=1e-3 * settings.low_pass_ms, model_ticks=chosen.model_ms)
+    loop = limits.turning_loop(1.0, filter_s=1e-3 * settings.low_pass_ms, model_ticks=_model_samples(settings))
     hand = settings.person.grip[3:]
     late = 0.0 if settings.contact == "touches" else step_s
     return _chosen(_delayed(settings, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad)
@@ -186,6 +199,19 @@ def _chosen(
 def _delayed(settings: LoopSettings, loop: WallLoop, extra_s: float) -> WallLoop:
     """The loop with the coupling's latency and some more [s]."""
     return replace(loop, delay_s=loop.delay_s + 1e-3 * settings.coupling.delay_ms + extra_s)
+
+
+def _model_samples(settings: LoopSettings) -> int:
+    """Return the samples of the device during one answer of the model."""
+    return max(ceil(settings.coupling.model_ms * TICK_S / settings.sample_s - 1e-9), 1)
+
+
+def _too_slow(settings: LoopSettings, what: str, remedy: str) -> InputError:
+    """Return the error for a part of the loop that needs a sample in every tick."""
+    return InputError(
+        f"{settings.device} gives {settings.limits.rate_Hz:.4g} samples a second, but {what} needs {1.0 / TICK_S:g}. "
+        f"Use {remedy}, or a faster device"
+    )
 
 
 def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: str) -> str:

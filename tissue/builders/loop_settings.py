@@ -1,7 +1,7 @@
 """What a loop with a device is judged and built by, whether a scene states it or a caller does."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -10,6 +10,7 @@ from tissue.builders.enhancement import Enhancing, enhancing
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import HandParameters, hand_parameters
 from tissue.haptics.loop.vibration import Vibration
+from tissue.models.tissue_model import TICK_S
 from tissue.prediction.predictor import Predictor
 from tissue.scene.coupling import Coupling, WallAnatomy
 from tissue.scene.scene import Scene
@@ -18,7 +19,7 @@ from tissue.scene.tool import Tool
 if TYPE_CHECKING:
     from tissue.perception.perception import Perception
 
-__all__ = ["Contact", "LoopSettings", "loop_settings"]
+__all__ = ["Contact", "LoopSettings", "loop_settings", "sampled"]
 
 Contact = Literal["cuts", "touches", "presses", "wall"]
 """What a tool does to what it meets: cut it, touch it as a rigid thing, press it soft, or press the test wall."""
@@ -80,22 +81,30 @@ class LoopSettings:
         return self.contact == "presses"
 
     @property
-    def tick_s(self) -> float:
-        """Time between two samples of the device [s]."""
+    def sample_s(self) -> float:
+        """Time between two samples of the device [s]: a tick, or longer for a slow device."""
         return 1.0 / self.limits.rate_Hz
 
     @property
-    def vibration(self) -> Vibration | None:
-        """What the device plays of a cutter's teeth; None for none."""
+    def is_slow(self) -> bool:
+        """Whether the device gives fewer samples than there are ticks."""
+        return self.sample_s > TICK_S * (1.0 + 1e-6)
+
+    def vibration(self, step_s: float) -> Vibration | None:
+        """Return the vibration of a cutter's teeth for a step [s]; None for no vibration."""
         if self.vibration_share == 0.0 or self.teeth_Hz == 0.0:
             return None
-        return Vibration(self.teeth_Hz, share=self.vibration_share, step_s=self.tick_s)
+        return Vibration(self.teeth_Hz, share=self.vibration_share, step_s=step_s)
+
+
+def sampled(limits: DeviceParameters) -> DeviceParameters:
+    """Return a device as the loop samples it: a faster one is read once a tick."""
+    return replace(limits, rate_Hz=min(limits.rate_Hz, 1.0 / TICK_S))
 
 
 def loop_settings(scene: Scene) -> LoopSettings:
     """What a scene states of its device, of the hand and of what lies between them and the tool."""
-    tool, limits = scene.tool, device_parameters(scene.device, scene.constants)
-    tick_s = 1.0 / limits.rate_Hz
+    tool, limits = scene.tool, sampled(device_parameters(scene.device, scene.constants))
     contact: Contact = "wall" if isinstance(scene.anatomy, WallAnatomy) else "presses"
     teeth_Hz = 0.0
     if isinstance(tool, Tool):
@@ -113,7 +122,6 @@ def loop_settings(scene: Scene) -> LoopSettings:
             scene_name=scene.name,
             file=scene.coupling.predictor_file,
             force_limit_N=limits.force_limit_N,
-            tick_s=tick_s,
         )
 
     def perception(rng: np.random.Generator) -> "Perception | None":
@@ -126,7 +134,7 @@ def loop_settings(scene: Scene) -> LoopSettings:
             scene.perception,
             rng=rng,
             force_limit_N=limits.force_limit_N,
-            tick_s=tick_s,
+            tick_s=TICK_S,
             friction_N=limits.friction_N,
         )
 

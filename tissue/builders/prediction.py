@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from meshes.base.errors import InputError
-from tissue.models.tissue_model import TICK_S
 from tissue.prediction.baselines import Kalman, Linear, LinearControl
 from tissue.prediction.guard import Guarded, Judged
 from tissue.prediction.koopman import Koopman
@@ -23,7 +22,7 @@ FALLBACKS = ("hold", "linear", "kalman", "dmdc", "look-ahead")
 """Predictors without a lifted operator, of which training chooses what a lifted one hands over to."""
 
 
-def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float, tick_s: float) -> Predictor:
+def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float) -> Predictor:
     """A predictor for a scene's device.
 
     Parameters
@@ -36,21 +35,14 @@ def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float, ti
         What `tissue train` has written; empty for the scene's own.
     force_limit_N
         Greatest force of the device: no predictor goes further than this from the present force.
-    tick_s
-        Length of a tick [s].
 
     Raises
     ------
     InputError
-        If there is none of that kind, or its file is missing, damaged, or of another version, scene or tick.
+        If there is none of that kind, or its file is missing, damaged, or of another version or scene.
     """
     trained = None
     if PREDICTORS[kind].trained:
-        if abs(tick_s - TICK_S) > 1e-9:
-            raise InputError(
-                f"device must have a tick of {1e3 * TICK_S:g} ms for a trained predictor, got {1e3 * tick_s:g}: use "
-                "prediction = kalman"
-            )
         path = Path(file) if file else shipped_file(scene_name)
         trained = Trained.read(path, scene=scene_name)
     return trained_predictor(kind, trained, force_limit_N=force_limit_N)

@@ -8,8 +8,8 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.haptics import hand_measures as at
 from tissue.haptics.device.device import Device, DeviceParameters, KnowsTruth, Sample
+from tissue.haptics.device.new_samples import NewSamples, guard_of
 from tissue.haptics.device.safe_device import SafeDevice
-from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.loop.filters import ConstantAcceleration, DelayLine, ForceRange, LowPass
 from tissue.haptics.loop.passivity import PassivityObserver
 from tissue.haptics.loop.sampled_loop import WallLoop
@@ -17,7 +17,7 @@ from tissue.haptics.played_force import PlayedForce
 from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.haptics.renderer import PassivityRenderer, Renderer, TurningRenderer
 from tissue.haptics.seen_contact import seen_contact
-from tissue.models.tissue_model import Response, ToolMotion
+from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import Quaternion
 from tissue.prediction.contact import SeesContact
@@ -25,8 +25,8 @@ from tissue.prediction.predictor import Predictor
 
 __all__ = ["HandMotion"]
 
-SMOOTH_S = 0.01
-"""Time over which the speed of a tool that goes with its device is estimated: encoders step [s]."""
+SMOOTH_S, SMOOTH_SAMPLES = 0.01, 5
+"""Shortest time [s], and fewest samples, over which the speed of a free tool is estimated: encoders step."""
 
 
 class HandMotion(Motion):
@@ -57,7 +57,7 @@ class HandMotion(Motion):
         Greatest force and torque of the device, and their greatest change.
     loop
         Loop of device and law, by whose delay energy is booked, and whose filters of force and velocity are applied;
-        without one the velocity is that of the sample.
+        without one the velocity is that of the sample. Its tick is the time between two samples of the device.
     delay_ticks
         Ticks by which the force is held back here.
     turning_law
@@ -107,7 +107,6 @@ class HandMotion(Motion):
         device_origin_m: Array | None = None,
     ) -> None:
         self._limits, self._played = limits, played or PlayedForce(limits)
-        self._tick = tick = loop.tick_s
         self.predictor, self._gain = predictor, prediction_gain
         self._sees = predictor if isinstance(predictor, SeesContact) else None
         self._margin, self.device = margin, device
@@ -120,27 +119,28 @@ class HandMotion(Motion):
         self._start, self._scale = np.array(scripted.rotations()[0]), motion_scale
         self._shift = device_origin_m if device_origin_m is not None else (1.0 - motion_scale) * scripted.sweep_m()[0]
         self.contact = partial(seen_contact, tool, loop.stiffness_N_m, motion_scale, self._shift)
-        self.guard = SampleGuard(force_limit_N=limits.force_limit_N, torque_limit_Nm=limits.torque_limit_Nm)
-        self._low_pass = LowPass(loop.filter_s, step_s=tick)
+        self.guard = guard_of(limits, sample_s=loop.tick_s)
+        self._low_pass = LowPass(loop.filter_s, step_s=TICK_S)
         self._delay = DelayLine(delay_ticks)
         # One filter for device and tool: where both go together, their difference stays zero.
         memory = loop.velocity_memory
-        self._speeds = None if memory is None else ConstantAcceleration(memory, step_s=tick)
-        self._turning = LowPass(loop.filter_s, step_s=tick)
+        self._speeds = None if memory is None else ConstantAcceleration(memory, step_s=loop.tick_s)
+        self._samples = NewSamples(loop.tick_s)
+        self._turning = LowPass(loop.filter_s, step_s=TICK_S)
         self._turning_delay = DelayLine(delay_ticks)
         self._turning_law = turning_law
         self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
         lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
         # What it books has passed the delay that is made here.
-        self.observer = PassivityObserver(delay_ticks=max(lag / tick - delay_ticks, 0.0))
+        self.observer = PassivityObserver(delay_ticks=max(lag / TICK_S - delay_ticks, 0.0))
         self._turned: Quaternion | None = None
         self._velocity = np.zeros(3)
-        self._smoothing = min(tick * model_ticks / SMOOTH_S, 1.0)
+        self._smoothing = min(TICK_S * model_ticks / max(SMOOTH_S, SMOOTH_SAMPLES * loop.tick_s), 1.0)
         self.model_ticks, self.lead_ticks = model_ticks, lead_ticks
-        self._ticks, self._step, self._fresh = 0, tick * model_ticks, True
+        self._ticks, self._step, self._fresh, self._is_new = 0, TICK_S * model_ticks, True, True
         self._sample: Sample | None = None
         self._before, self._went, self._raw, self._torque = np.zeros((4, 3))
-        self._both = np.zeros(6)
+        self._both, self._rates = np.zeros((2, 6))
 
     @property
     def device(self) -> Device:
@@ -149,7 +149,7 @@ class HandMotion(Motion):
 
     @device.setter
     def device(self, device: Device | SafeDevice) -> None:
-        self.held = SafeDevice(device, limits=self._limits, tick_s=self._tick)
+        self.held = SafeDevice(device, limits=self._limits)
         self.measure_names = at.MEASURES + at.PREDICTED * (self.predictor is not None)
         self._person = slice(len(self.measure_names), len(self.measure_names) + len(self._played.names))
         self.measure_names += self._played.names
@@ -192,7 +192,7 @@ class HandMotion(Motion):
         if sample is None:
             motion.speed_m_s, self._velocity[:] = 0.0, 0.0
             return
-        self._sample = sample
+        self._sample, self._is_new = sample, self._samples.is_new(sample, time_s)
         if self._fresh:
             self._before[:] = self.tool.tip_m
             self._follow(sample, response, motion)
@@ -239,7 +239,7 @@ class HandMotion(Motion):
                 row[at.PREDICTED_BY] = self.predictor.is_primary
                 force = force + self._gain * (predicted - force) if self._gain != 1.0 else predicted
                 if self._control is not None:
-                    force = self._control.step(force, here, speed, self._tick)
+                    force = self._control.step(force, here, speed, TICK_S)
             filtered = self._delay.step(self._low_pass.step(force))
             wanted, compressed = self._played.step(filtered, response)
             if self._turning_law is not None:
@@ -269,8 +269,9 @@ class HandMotion(Motion):
         both[:3] = here = np.array(sample.position_m)
         both[3:] = tip = (self.tool.tip_m - self._shift) / self._scale
         if self._speeds is not None:
-            rates = self._speeds.step(both)
-            speed, went = rates[:3], rates[3:]
+            if self._is_new:
+                self._rates = self._speeds.step(both)
+            speed, went = self._rates[:3], self._rates[3:]
         else:
             speed, went = np.array(sample.velocity_m_s), self._went / self._scale
         if self._fresh:

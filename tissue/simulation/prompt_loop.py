@@ -44,7 +44,7 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
             response = tissue.respond(tool)
             if motion.correct(response, tool):
                 tissue.advance(tool)
-                tissue.respond(tool)
+                response = tissue.respond(tool)
             forces[tick] = motion.raw_force_N()
             if starts is not None:
                 starts.start_background(now, tool)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
+from tissue.builders.device import require_stated_rate
 from tissue.builders.parts import Parts
 from tissue.builders.registry import build
-from tissue.haptics.device.device import Device
+from tissue.haptics.device.device import Device, device_parameters
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.supervision import run_held
 from tissue.haptics.loop.motor_path import force_later_N
@@ -140,6 +141,11 @@ def simulate(
         if device is not None:
             if not isinstance(parts.motion, MovedByDevice):
                 raise InputError("scene must name the device that is given, got none: set device, such as touch")
+            require_stated_rate(
+                device,
+                device_parameters(scene.device, scene.constants),
+                remedy=f"state devices.{scene.device}.rate_Hz in a file of constants for the key materials",
+            )
             parts.motion.device, parts.motion.after_s = device, 0.0
         ticks = tick_count(scene, parts.motion)
         if folder is not None:

@@ -99,7 +99,7 @@ class Tick:
             if self._motion.correct(response, self.tool):
                 self._tissue.advance(self.tool)
                 self._keep(index)
-                response = self._tissue.respond(self.tool)
+                response = self._response = self._tissue.respond(self.tool)
         self._motion.play(response)
         if self._clear is not None:
             self._clear.measure(self.tool)

@@ -24,7 +24,7 @@ from tissue.evaluation.charts.measure import Measured, excerpt, measure
 from tissue.evaluation.charts.picture import draw_frontiers
 from tissue.evaluation.charts.places import placed
 from tissue.evaluation.charts.reference import reference_gap
-from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, make_ready
+from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, charted, make_ready
 from tissue.evaluation.charts.settings import Setting, by_hand, finest, settings_of
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.linear_limits import press_at
@@ -224,6 +224,15 @@ def test_an_excerpt_ends_a_while_after_the_first_contact(block):
     touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     assert (0 < touching[0] < 100 and len(run.trace.rows) == touching[0] + 1200) or short.duration_s < 1.2
     assert len(short.motion.points_mm) <= len(block.motion.points_mm)
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_a_scene_that_cuts_is_charted_by_script_alone(name):
+    scene = load_scene(name)
+    cuts = getattr(scene.tool, "spin_rpm", 0.0) != 0.0
+    devices = [each.device for each in charted(scene)]
+    assert devices == (["none"] if cuts else ["touch"] if name == "wall" else ["none", "touch"])
+    assert [each.device for each in charted(changed(scene, {"device": "touch"}))] == (["none"] if cuts else ["touch"])
 
 
 def test_a_loop_is_described_in_plain_words():

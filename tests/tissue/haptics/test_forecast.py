@@ -30,7 +30,7 @@ CONTROL = LinearControl(SimpleNamespace(A=0.9 * np.eye(3), B=PULL, offset=np.zer
 
 def bare(kind):
     """A predictor without the guard that may hand over to another."""
-    found = predictor_of(kind, scene_name="wall", file="", force_limit_N=3.3, tick_s=TICK)
+    found = predictor_of(kind, scene_name="wall", file="", force_limit_N=3.3)
     return getattr(found, "inner", found)
 
 

@@ -299,7 +299,7 @@ def test_a_file_gives_the_same_predictor(trained, tmp_path):
 
 def test_what_cannot_be_used_is_refused(trained, tmp_path):
     path = str(trained.write(tmp_path / "spring.npz"))
-    options = {"force_limit_N": LIMIT_N, "tick_s": 1e-3}
+    options = {"force_limit_N": LIMIT_N}
     with pytest.raises(
         InputError, match=r"must be of scene wall, got spring in .*: train it again with 'tissue train wa"
     ):
@@ -314,8 +314,6 @@ def test_what_cannot_be_used_is_refused(trained, tmp_path):
         InputError, match=r"coupling.predictor_file must be given for a scene other than caries, .*wall"
     ):
         predictor("koopman", scene_name="mine", file="", **options)
-    with pytest.raises(InputError, match="device must have a tick of 1 ms for a trained predictor, got 2"):
-        predictor("koopman", scene_name="wall", file="", force_limit_N=LIMIT_N, tick_s=2e-3)
     with pytest.raises(InputError, match="prediction must be left out without a device, got koopman"):
         load_scene("palpation", {"prediction": "koopman"})
     still = [replace(spring_run(1), force_N=np.zeros((1200, 3)))]

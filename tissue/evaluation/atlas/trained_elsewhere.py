@@ -97,7 +97,7 @@ def ask() -> list[Answer]:
         path = trained.write(Path(folder) / "wall.npz")
         other = refused(
             "the Koopman predictor of another scene",
-            lambda: predictor("koopman", scene_name="molar", file=str(path), force_limit_N=LIMIT_N, tick_s=TICK_S),
+            lambda: predictor("koopman", scene_name="molar", file=str(path), force_limit_N=LIMIT_N),
         )
         path.write_bytes(path.read_bytes()[:200])
         files = [other, refused("a file that was cut off", lambda: read_predictor(path))]

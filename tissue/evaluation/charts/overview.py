@@ -31,7 +31,7 @@ NAME_PT, ROW_IN = 9.0, 0.185
 
 
 def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
-    """Draw a panel for each scene: the settings that nothing beats, by script and by hand, and the tick of 1 ms.
+    """Draw a panel for each scene: its Pareto-optimal settings by script and by hand, and the tick of 1 ms.
 
     They have numbers, which are named beside their panel.
     """

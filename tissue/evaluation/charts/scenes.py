@@ -1,4 +1,4 @@
-"""Charts of scenes: their frontiers by script and by hand, as pictures and as tables.
+"""Charts of scenes: their frontiers by script and by hand, as pictures and as tables. Cutting scenes by script alone.
 
 Before anything is timed, other processes may make what it needs: references and condensed meshes. They hand nothing
 back; it all goes to the cache on disk, where measuring finds it.
@@ -24,12 +24,13 @@ from tissue.evaluation.reference.history import has_exact_geometry, reference_fo
 from tissue.scene.load import changed, load_scene, scene_names
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
 from tissue.simulation.reference_force import ideal_scene
 from tissue.simulation.simulate import TICK_S, simulate
 from tissue.system.outputs import prepare_folder
 from tissue.system.workers import first_done
 
-__all__ = ["chart_lines", "chart_scenes", "make_ready"]
+__all__ = ["chart_lines", "chart_scenes", "charted", "make_ready"]
 
 READY_SHARE = 0.3
 """Share of a chart's time that making ready takes."""
@@ -56,8 +57,7 @@ def chart_scenes(
     """
     scenes = [load_scene(name) for name in names or scene_names()]
     prepare_folder(out, [f"{scene.name}.csv" for scene in scenes], "chart", overwrite=overwrite)
-    # A wall is met by a hand alone; other scenes move by script as well.
-    kinds = [[by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)] for scene in scenes]
+    kinds = [charted(scene) for scene in scenes]
     begin = 0.0
     if pool is not None:
         begin = READY_SHARE
@@ -78,6 +78,17 @@ def chart_scenes(
     with whole_file(out / "machine.txt") as temporary:
         temporary.write_text(machine() + "\n", "utf-8")
     return found
+
+
+def charted(scene: Scene) -> list[Scene]:
+    """Return the scenes whose frontiers are charted: a scene by script, by hand or both.
+
+    A wall is touched by a hand alone. A cutting scene is charted by script alone: in a chart's short excerpt the hand
+    presses less than the friction of its device, and its force error would be noise (54 to 200 % in ``milling``).
+    """
+    if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
+        return [scene if scene.device == "none" else of_model(scene)]
+    return [by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)]
 
 
 def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:

@@ -1,0 +1,151 @@
+"""Devices of other rates than the loop: filters, velocity, slew and hold are right in seconds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hand_steps import STEP_S, held, meet
+
+import tissue
+from tissue import InputError, Sample, load_scene
+from tissue.builders.loop import judged_loop
+from tissue.builders.loop_settings import loop_settings
+from tissue.haptics.device.device import device_parameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.models.tissue_model import FreeSpace
+from tissue.models.wall import WallModel
+
+RATES_HZ = [500, 1000, 2000]
+SLEW_N_MS = 0.2
+
+
+class Sampled:
+    """A device on a given path z(t) [m]: `dated` by its own clock, or repeated with the time of the tick."""
+
+    in_process = True
+
+    def __init__(self, path, rate_Hz, *, dated):
+        self.path, self.rate_Hz, self.dated = path, rate_Hz, dated
+        self.forces = []
+
+    def read(self, time_s):
+        taken_s = int(time_s * self.rate_Hz + 1e-6) / self.rate_Hz
+        return Sample(taken_s if self.dated else time_s, (0.0, 0.0, self.path(taken_s)))
+
+    def command(self, force_N, torque_Nm):
+        self.forces.append(force_N.copy())
+
+
+@pytest.fixture
+def at_rate(tmp_path):
+    """Makes the changes of a scene in which the Touch has another rate, and a slew of 0.2 N/ms."""
+
+    def changes(rate_Hz, **more):
+        path = tmp_path / f"{rate_Hz}.toml"
+        entry = f'value = {rate_Hz}\nrange = [{rate_Hz}, {rate_Hz}]\nsource = "test"\nconfidence = "M"\n'
+        slew = entry.replace(str(rate_Hz), str(SLEW_N_MS))
+        path.write_text(f"[devices.touch.rate_Hz]\n{entry}[devices.touch.force_slew_N_ms]\n{slew}", "utf-8")
+        return {"device": "touch", "materials": str(path), "coupling__stiffness_N_m": 100.0} | more
+
+    return changes
+
+
+class Watched:
+    """A law that notes the device's velocity along z [m/s] and plays nothing."""
+
+    def __init__(self):
+        self.speeds = []
+
+    def render(self, device, device_velocity, proxy, proxy_velocity, dt):
+        self.speeds.append((device_velocity[2], proxy_velocity[2]))
+        return np.zeros(3)
+
+    def pause(self):
+        self.speeds.clear()
+
+
+@pytest.mark.parametrize("dated", [True, False])
+@pytest.mark.parametrize("rate_Hz", [*RATES_HZ, 700])
+def test_the_velocity_of_a_ramp_is_its_slope(at_rate, rate_Hz, dated):
+    """The law gets the velocities of device and tool in every tick, and the tool moves at that speed in the mean."""
+    slope = -0.08
+    motion = held(**at_rate(rate_Hz))
+    motion.device = Sampled(lambda time_s: 0.1 + slope * time_s, rate_Hz, dated=dated)
+    law = motion._contact = Watched()
+    tool_speeds = []
+
+    class Free(FreeSpace):
+        def respond(self, tool):
+            tool_speeds.append(tool.speed_m_s * tool.heading[0, 2])
+            return super().respond(tool)
+
+    meet(motion, Free(), 0.4)
+    np.testing.assert_allclose(law.speeds[-20:], slope, rtol=1e-6)
+    assert np.mean(tool_speeds[-140:]) == pytest.approx(slope, rel=1e-3)
+
+
+@pytest.mark.parametrize("rate_Hz", RATES_HZ)
+def test_the_force_rises_by_no_more_than_the_stated_newtons_a_second(at_rate, rate_Hz):
+    """A device that stands 20 mm in the wall from the first contact on wants its whole force at once."""
+    motion = held(**at_rate(rate_Hz, output__low_pass_ms=0.0))
+    device = Sampled(
+        lambda time_s: 5e-3 if time_s < 0.05 else -20e-3 * min((time_s - 0.05) / 0.005, 1.0), rate_Hz, dated=True
+    )
+    motion.device = device
+    meet(motion, WallModel(1e4, radius_m=5e-3), 0.1)
+    force = np.array(device.forces)[:, 2]
+    rising = np.flatnonzero((force > 0.1) & (force < 0.9 * force.max()))
+    slope_N_s = np.polyfit(STEP_S * rising, force[rising], 1)[0]
+    assert len(rising) > 4
+    assert slope_N_s == pytest.approx(200.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("rate_Hz", RATES_HZ)
+def test_the_low_pass_has_its_time_constant_in_seconds(at_rate, rate_Hz):
+    """The raw force is held while the device rests in the wall, and 1 - exp(-t / tau) of it has come after t."""
+    tau_s = 0.02
+    motion = held(**at_rate(rate_Hz, output__low_pass_ms=1e3 * tau_s))
+    motion.device = Sampled(lambda time_s: 1e-3 if time_s < 0.05 else -2e-3, rate_Hz, dated=True)
+    _, measures, _ = meet(motion, WallModel(1e9, radius_m=5e-3), 0.12)
+    filtered = measures[:, 15]
+    first = int(np.flatnonzero(filtered)[0])
+    ticks = np.arange(len(filtered) - first)
+    expected = 100.0 * 2e-3 * (1.0 - np.exp(-(ticks + 1) * STEP_S / tau_s))
+    np.testing.assert_allclose(filtered[first:], expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("rate_Hz", "hold_s"), [(250, 4e-3), (500, 2e-3), (1000, 1e-3), (2000, 1e-3)])
+def test_a_loop_is_judged_by_the_time_for_which_the_device_holds_a_force(at_rate, rate_Hz, hold_s):
+    changes = {name.replace("__", "."): value for name, value in at_rate(rate_Hz, coupling__model_ms=4).items()}
+    loop = judged_loop(loop_settings(load_scene("wall", changes)), step_s=STEP_S)
+    assert loop.tick_s == pytest.approx(hold_s)
+    assert loop.model_ticks * loop.tick_s == pytest.approx(4e-3)
+
+
+def test_a_slow_simulated_device_keeps_its_force(at_rate):
+    """Samples of 200 Hz are up to 4 ms old, and none of them counts as missing."""
+    motion = held(**at_rate(200, coupling__stiffness_N_m=60.0))
+    _, measures, _ = meet(motion, WallModel(1e4, radius_m=5e-3), 1.0)
+    assert np.abs(measures[:, 9]).max() > 0.05
+    assert not [what for _, what in motion.happened() if "sample" in what]
+
+
+def test_what_needs_a_sample_in_every_tick_is_refused_for_a_slow_device(at_rate):
+    for changes, words in (
+        ({"renderer": "passivity"}, "renderer = passivity needs 1000"),
+        ({"prediction": "kalman"}, "a prediction needs 1000"),
+    ):
+        assert held(**at_rate(1000), **changes) is not None
+        with pytest.raises(InputError, match=f"touch gives 500 samples a second, but {words}"):
+            held(**at_rate(500), **changes)
+
+
+def test_a_device_that_states_a_slower_rate_than_its_constants_is_refused():
+    limits = replace(device_parameters("touch"), rate_Hz=500.0)
+    scene = load_scene("wall", {"device": "touch", "duration_s": 0.05})
+    with pytest.raises(InputError, match="must give the 1000 samples a second of its constants, got 500"):
+        tissue.simulate(scene, device=SimulatedDevice(limits, position_m=(0.0, 0.0, 0.02)))
+    bone = tissue.Bone.block((12, 8, 5), spacing_mm=0.5)
+    with pytest.raises(InputError, match="must give the 1000 samples a second of its constants, got 500"):
+        tissue.Loop(bone, device=SimulatedDevice(limits))
+    assert tissue.Loop(bone, device=SimulatedDevice(limits), limits=limits).run(0.02).ticks == 20

@@ -1,0 +1,55 @@
+"""Recognise new samples of a device that is slower than the loop."""
+
+from math import ceil, nan
+
+from tissue.haptics.device.device import DeviceParameters, Sample
+from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
+from tissue.models.tissue_model import TICK_S
+
+__all__ = ["NewSamples", "guard_of"]
+
+ROUNDING = 1e-9
+"""Difference of two times that counts as none [s], and over a tick."""
+OLDEST = 2.5
+"""Age of a sample that counts as missing, over the time between two samples."""
+
+
+class NewSamples:
+    """Recognise the ticks in which a device has a new sample.
+
+    A device with a clock of its own dates its samples. Other devices repeat the last pose with the time of the tick. A
+    pose that has changed is then new, and so is a pose that has stayed for as long as a sample lasts.
+
+    Parameters
+    ----------
+    sample_s
+        Time between two samples [s]. With a sample in every tick each sample is new.
+    """
+
+    def __init__(self, sample_s: float) -> None:
+        self._ticks = ceil(sample_s / TICK_S - ROUNDING)
+        self._waited, self._last = 0, Sample(nan, (nan, nan, nan))
+
+    def is_new(self, sample: Sample, time_s: float) -> bool:
+        """Return whether the sample of the tick at a time [s] differs from the one of the last tick."""
+        if self._ticks <= 1:
+            return True
+        last, self._last = self._last, sample
+        self._waited += 1
+        if sample.time_s == last.time_s:
+            return False
+        is_dated = abs(sample.time_s - time_s) > ROUNDING
+        has_changed = sample.position_m != last.position_m or sample.quaternion != last.quaternion
+        if not (is_dated or has_changed or self._waited >= self._ticks):
+            return False
+        self._waited = 0
+        return True
+
+
+def guard_of(limits: DeviceParameters, *, sample_s: float) -> SampleGuard:
+    """Return the guard of a device, for so much time between two samples [s]."""
+    return SampleGuard(
+        GuardLimits(oldest_s=OLDEST * sample_s),
+        force_limit_N=limits.force_limit_N,
+        torque_limit_Nm=limits.torque_limit_Nm,
+    )
