@@ -69,9 +69,11 @@ def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> 
     """`tissue chart [SCENE ...]`."""
     import os
 
-    from tissue.evaluation.charts.scenes import chart_lines, chart_scenes
+    from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, notes_before
     from tissue.system.workers import worker_pool
 
+    for note in notes_before(names):
+        console.print(note)
     workers = min(os.cpu_count() or 1, MOST_WORKERS)
     with output_locked(folder, folder=True), progress() as report, worker_pool(workers) as pool:
         found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, report=report)

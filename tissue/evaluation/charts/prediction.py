@@ -25,7 +25,16 @@ from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
 from tissue.system.outputs import prepare_folder
 
-__all__ = ["OURS", "Interval", "PredictorComparison", "chart_prediction", "compare", "comparison_lines", "interval", "predictable"]
+__all__ = [
+    "OURS",
+    "Interval",
+    "PredictorComparison",
+    "chart_prediction",
+    "compare",
+    "comparison_lines",
+    "interval",
+    "predictable",
+]
 
 FIRST_SEED = 10_000
 """Seeds of unseen runs begin here; training uses those from 0 on."""

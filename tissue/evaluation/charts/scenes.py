@@ -19,7 +19,7 @@ from tissue.evaluation.charts.overview import draw_overview
 from tissue.evaluation.charts.picture import draw_frontiers
 from tissue.evaluation.charts.places import placed
 from tissue.evaluation.charts.reference import grid_force_N, of_model, reference_words
-from tissue.evaluation.charts.settings import by_hand, finest, grids, settings_of
+from tissue.evaluation.charts.settings import by_hand, finest, grids, settings_of, untrained
 from tissue.evaluation.reference.history import has_exact_geometry, reference_force
 from tissue.scene.load import changed, load_scene, scene_names
 from tissue.scene.organ import SoftAnatomy
@@ -30,7 +30,7 @@ from tissue.simulation.simulate import TICK_S, simulate
 from tissue.system.outputs import prepare_folder
 from tissue.system.workers import first_done
 
-__all__ = ["chart_lines", "chart_scenes", "charted", "make_ready"]
+__all__ = ["chart_lines", "chart_scenes", "charted", "make_ready", "notes_before"]
 
 READY_SHARE = 0.3
 """Share of a chart's time that making ready takes."""
@@ -89,6 +89,20 @@ def charted(scene: Scene) -> list[Scene]:
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
         return [scene if scene.device == "none" else of_model(scene)]
     return [by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)]
+
+
+def notes_before(names: Sequence[str]) -> list[str]:
+    """Return a note for each scene whose chart leaves out predictors, known before anything is computed."""
+    notes = []
+    for name in names or scene_names():
+        for kind in charted(load_scene(name)):
+            missing = untrained(kind) if kind.device != "none" else ()
+            if missing:
+                notes.append(
+                    f"{name}: {', '.join(missing)} are left out, no trained predictor. "
+                    f"Train one with 'tissue train {name}'."
+                )
+    return notes
 
 
 def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:

@@ -1,0 +1,52 @@
+"""Every built-in scene works with every command, in the quickest form of each."""
+
+import json
+
+import pytest
+
+from tissue.evaluation.charts import measure
+from tissue.scene.load import load_scene, scene_names
+
+SHORT_S = "0.06"
+"""Length of the runs [s]: beyond the start of every part of a run."""
+pytestmark = [pytest.mark.slow]
+
+
+def finished(command, *arguments):
+    """Run a command that must succeed; return what it printed."""
+    code, out, error = command(*arguments)
+    assert code == 0, f"{' '.join(map(str, arguments))}\n{out}\n{error}"
+    return out
+
+
+def fast(scene):
+    """Changes that make a scene quick to set up."""
+    if scene == "palpation":
+        return ("--set", "organ.order=1")
+    return ()
+
+
+@pytest.mark.parametrize("scene", scene_names())
+def test_a_scene_works_with_the_commands_of_runs(command, tmp_path, scene):
+    script = tmp_path / "script"
+    finished(command, "run", scene, "--duration-s", SHORT_S, *fast(scene), "--out", script)
+    by_hand = ["--set", "device=touch", "--set", "prediction=koopman", "--set", "perception=population"]
+    finished(command, "run", scene, "--duration-s", SHORT_S, *fast(scene), *by_hand, "--out", tmp_path / "hand")
+    assert json.loads((tmp_path / "hand" / "summary.json").read_text())["status"] == "complete"
+    finished(command, "report", script)
+    finished(command, "view", script, "--screenshot", tmp_path / "view.png")
+    _, _, refusal = command("assess", tmp_path / "hand", "--against", tmp_path / "hand")
+    assert not refusal or "without contact" in refusal  # so short a run need not touch
+    finished(command, "compare", script, script)
+    finished(command, "sweep", scene, "--set", f"duration_s={SHORT_S}", *fast(scene), "--out", tmp_path / "sweep")
+    finished(command, "stability", scene, "--set", "device=touch")
+    assert load_scene(scene).name in finished(command, "scenes", scene)
+    assert (tmp_path / "view.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("scene", scene_names())
+def test_a_scene_can_be_charted(command, tmp_path, scene, monkeypatch):
+    monkeypatch.setattr(measure, "EXCERPT_S", {True: 0.03, False: 0.03})
+    out = finished(command, "chart", scene, "--quick", "--out", tmp_path / "charts")
+    assert scene in out
+    assert (tmp_path / "charts" / f"{scene}.csv").read_text("utf-8").count("\n") >= 2
