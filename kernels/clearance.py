@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False})
 
 NODES, TRIANGLES = wp.constant(256), wp.constant(256)
 """Rows of the stacks of nodes and of triangles."""
-MOST_EVALUATIONS = wp.constant(8000)
+MOST_EVALUATIONS = wp.constant(20000)
 """Evaluations after which a search ends with a coarser lower bound, so that a tick ends."""
 FAR_M = wp.constant(wp.float64(1.0e3))
 LEAF = wp.constant(4)

@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False})
 
 TOLERANCE_M = wp.constant(wp.float64(1.0e-6))
 """A bound that lies at most this far below the smallest distance is good enough [m]."""
-STEPS = wp.constant(8)
+STEPS = wp.constant(10)
 """Steps down the gradient in a triangle before it is halved."""
 TIE_M = wp.constant(wp.float64(1.0e-12))
 """Pieces of the outline whose distances differ by less meet at a corner [m]."""
@@ -141,30 +141,59 @@ def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
 
 
 @wp.func
+def best_mix(first: wp.vec3d, second: wp.vec3d):
+    """Weighted mean of two linear functions, given at the corners of a triangle, whose smallest value is largest."""
+    best = first
+    if wp.min(second) > wp.min(best):
+        best = second
+    for i in range(3):
+        j = (i + 1) % 3
+        gap = first[j] - first[i]
+        change = gap - (second[j] - second[i])
+        if change != wp.float64(0.0):
+            share = gap / change
+            if share > wp.float64(0.0) and share < wp.float64(1.0):
+                mixed = first + share * (second - first)
+                if wp.min(mixed) > wp.min(best):
+                    best = mixed
+    return best
+
+
+@wp.func
 def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: wp.float64):
     """Lower bound of the distance over a triangle, and an upper bound of its smallest value.
 
-    Steps down the gradient lead toward the smallest value, where the tangent bounds a convex distance without a gap.
+    Steps down the gradient lead toward the smallest value. There one tangent bounds a smooth convex distance without a
+    gap, and a mean of tangents bounds one with a crease.
     """
     middle = (a + b + c) / wp.float64(3.0)
+    size = wp.max(wp.length(a - middle), wp.max(wp.length(b - middle), wp.length(c - middle)))
     lower = wp.float64(1.0e9)
     upper = wp.float64(1.0e9)
     for part in range(outline.convex.shape[0]):
-        at = middle
-        lowest = wp.float64(-1.0e9)
+        at, slope = middle, wp.vec3d()
+        smallest, reach = wp.float64(1.0e9), wp.float64(1.0)
+        bound = wp.vec3d(wp.float64(-1.0e9))
+        tried = middle
         step = int(0)
         while step < STEPS:
-            value, gradient, bend = distance_to_part(outline, part, at)
-            upper = wp.min(upper, value)
-            drop = wp.min(wp.dot(gradient, a - at), wp.min(wp.dot(gradient, b - at), wp.dot(gradient, c - at)))
-            if outline.convex[part] == 0:
-                drop = -wp.max(wp.length(a - at), wp.max(wp.length(b - at), wp.length(c - at)))
-                step = STEPS
-            lowest = wp.max(lowest, value + drop)
             step += 1
-            if lowest >= wp.min(best, upper) - TOLERANCE_M:
+            value, gradient, bend = distance_to_part(outline, part, tried)
+            tangent = wp.vec3d(wp.dot(gradient, a - tried), wp.dot(gradient, b - tried), wp.dot(gradient, c - tried))
+            tangent += wp.vec3d(value)
+            if outline.convex[part] == 0:
+                tangent = wp.vec3d(value - size)
                 step = STEPS
-            elif step < STEPS:
-                at = nearest_on_triangle(at - wp.min(bend, wp.float64(1.0)) * gradient, a, b, c)
-        lower = wp.min(lower, lowest)
+            bound = best_mix(bound, tangent)
+            if value < smallest:
+                smallest = value
+                at = tried
+                slope = wp.min(bend, wp.float64(2.0) * size) * gradient
+            else:
+                reach *= wp.float64(0.5)
+            if wp.min(bound) >= wp.min(best, wp.min(upper, smallest)) - TOLERANCE_M:
+                step = STEPS
+            tried = nearest_on_triangle(at - reach * slope, a, b, c)
+        upper = wp.min(upper, smallest)
+        lower = wp.min(lower, wp.min(bound))
     return lower, upper

@@ -15,9 +15,9 @@ __all__ = ["InnerPoints", "OutlineTable", "body_points", "inner_points", "outlin
 
 ON_SURFACE, INSIDE = 3000, 1000
 """About as many points on the surface and in the inside at most."""
-SAGITTA_M = 5e-7
+SAGITTA_M = 2e-6
 """A ring of edge points lies inside the true edge by at most this [m]."""
-ALONG_AXIS = 12
+ALONG_AXIS = 6
 """Inner points along the axis over the tool's radius."""
 CONVEX = 1e-9
 
