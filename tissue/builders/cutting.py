@@ -60,7 +60,7 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
         stated=scene.cutting.tangential_chip_N_mm2,
     )
     tissue = _bone(scene, volume, cutter, compute=compute, cores=cores, report=report)
-    clear = _clear(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
+    clear = _clear(scene, volume, cutter, motion, notes=notes, report=report)
     return Parts(
         motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes, keep_clear=clear
     )
@@ -72,7 +72,6 @@ def _clear(
     cutter: Cutter,
     motion: Motion,
     *,
-    compute: str,
     notes: dict[str, str],
     report: Progress,
 ) -> "KeepClear | None":
@@ -87,7 +86,6 @@ def _clear(
         cutter,
         motion,
         placement=volume.placement,
-        compute=compute,
         notes=notes,
         report=report,
     )
@@ -160,7 +158,7 @@ def _probe(
     notes["tool"] = "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
     shell = ToolShell.of_cutter(cutter)
     tissue = ProbedBone(volume, shell, area_m2=cutter.cutting_area_m2, tool=motion.tool, device=compute)
-    clear = _clear(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
+    clear = _clear(scene, volume, cutter, motion, notes=notes, report=report)
     return Parts(
         motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes, keep_clear=clear
     )

@@ -1,34 +1,33 @@
-"""Build what a tool's distance from structures is measured by: their surfaces from files, or shapes of the anatomy."""
+"""Build the measurement of a tool's distance from structures: surfaces from files, or shapes of the anatomy."""
 
 from collections.abc import Mapping
-from math import prod
 from pathlib import Path
 
 import numpy as np
 
+from kernels.tool_distance import TOLERANCE_M
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
 from meshes.shapes.sdf import Shape
+from meshes.shapes.triangles import shape_triangles
 from meshes.surfaces.surface import read_surface
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.builders.parts import FILE_WORDS
 from tissue.builders.voxels import swept_box
 from tissue.cutters.body import body_points
 from tissue.cutters.cutter import Cutter
-from tissue.models.keep_clear import Distance, DistanceField, KeepClear
+from tissue.models.keep_clear import Distance, KeepClear, Structure
 from tissue.motion.motion import Motion
 from tissue.scene.keep_clear import KeepClear as Wanted
 
-__all__ = ["SPACING_M", "distance_field", "keep_clear"]
+__all__ = ["distance_from", "keep_clear", "slack_note", "structure_of_file"]
 
-SPACING_M = 0.4e-3
-"""Of the lattice: interpolation between its points is off by 0.005 mm on a canal of 4 mm radius."""
-MOST_POINTS = 1.5e6
-MARGIN_M = 1e-3
+MARGIN_M = 10e-3
+"""Beyond the motion that a scene states: a hand may leave it."""
 POINTS_ACROSS = 12.0
-"""Points of the tool's surface over its radius: between them a ball is off by 0.1 % of its radius."""
+"""Points of the tool's surface over its radius, for pictures."""
 
 
 def keep_clear(
@@ -38,11 +37,10 @@ def keep_clear(
     motion: Motion,
     *,
     placement: Placement | None,
-    compute: str,
     notes: dict[str, str],
     report: Progress,
 ) -> KeepClear:
-    """What measures a cutter's distance from the structures that a scene names.
+    """Build the measurement of a cutter's distance from the structures that a scene names.
 
     Parameters
     ----------
@@ -59,44 +57,47 @@ def keep_clear(
     points = body_points(cutter.profile, spacing_m=cutter.profile.radius_m / POINTS_ACROSS)
     low, high = swept_box(points, motion, MARGIN_M)
     distances: dict[str, Distance] = {}
+    found: dict[str, Structure] = {}
     for name in wanted.names:
         if name not in shapes:
             known = f"must be one of {', '.join(shapes)}" if shapes else "must be left out for an anatomy without any"
             raise InputError(f"keep_clear.names {known}, got {name}: give its surface in [keep_clear.files]")
+        report(f"meshing the surface of {name}", 0.0)
         distances[name] = shapes[name].distance
+        found[name] = Structure(*shape_triangles(shapes[name], low, high))
     for name, file in wanted.files.items():
-        report(f"measuring the distance from {name}", 0.0)
-        distances[name], repairs = _of_file(name, file, placement)
+        report(f"reading the surface of {name}", 0.0)
+        found[name], repairs = _of_file(name, file, placement)
+        distances[name] = distance_from(found[name])
         if repairs:
             notes[f"surface of {name}"] = repairs
-    fields = {name: distance_field(distance, low, high) for name, distance in distances.items()}
-    for name, field in fields.items():
-        least = 1e3 * float(field.values_m.min())
-        notes[f"keep clear of {name}"] = (
-            f"at least {least:.3g} mm from all that the tool can reach"
-            if least > 0.0
-            else "the tool can reach it; its distance is in the trace"
-        )
-    return KeepClear(points, fields, distances, device=compute)
+    notes |= {f"keep clear of {name}": slack_note(structure) for name, structure in found.items()}
+    return KeepClear(cutter.profile, found, distances, points_m=points, box_m=np.array([low, high]))
 
 
-def _of_file(name: str, file: str, placement: Placement | None) -> tuple[Distance, str]:
-    """Signed distance from all pieces of a surface in a file, in the frame of the scene, and what was mended."""
+def slack_note(structure: Structure) -> str:
+    """State how exact distances from a structure are."""
+    below_mm = 1e3 * (structure.slack_m + float(TOLERANCE_M))
+    return f"its distance is in the trace, exact or up to {below_mm:.2g} mm too small"
+
+
+def structure_of_file(file: Path, *, scale_mm: float) -> tuple[Structure, str]:
+    """Read a closed surface with all its pieces; returns what was repaired, too."""
+    surface = read_surface(file, scale_mm=scale_mm, cut_off=True, every_piece=True)
+    return Structure(surface.vertices_m, surface.faces), " ".join(surface.report.repairs)
+
+
+def distance_from(structure: Structure) -> Distance:
+    """Signed distance from a structure anywhere, for pictures."""
+    return lambda points: triangle_distance(structure.vertices_m, structure.faces, points)
+
+
+def _of_file(name: str, file: str, placement: Placement | None) -> tuple[Structure, str]:
+    """Structure in a file, in the frame of the scene, and what was repaired."""
     unit = 1.0 if placement is None else placement.unit_mm
     with names_of_caller(dict.fromkeys(FILE_WORDS, f"keep_clear.files.{name}")):
-        surface = read_surface(Path(file), scale_mm=unit, cut_off=True, every_piece=True)
-    vertices = surface.vertices_m
+        structure, repairs = structure_of_file(Path(file), scale_mm=unit)
     if placement is not None:
-        vertices = 1e-3 * placement.to_scene(1e3 * vertices / unit)
-    faces = surface.faces
-    return lambda points: triangle_distance(vertices, faces, points), " ".join(surface.report.repairs)
-
-
-def distance_field(distance: Distance, low_m: Array, high_m: Array) -> DistanceField:
-    """Distance on a lattice over a box [m], as fine as `SPACING_M` where that is at most `MOST_POINTS` points."""
-    sides = high_m - low_m
-    spacing = max(SPACING_M, (prod(sides.tolist()) / MOST_POINTS) ** (1.0 / 3.0))
-    count = np.ceil(sides / spacing).astype(int) + 1
-    grid = np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3) * spacing + low_m
-    values = np.asarray(distance(grid), dtype=np.float32).reshape(count)
-    return DistanceField(np.asarray(low_m), spacing, values)
+        vertices: Array = 1e-3 * placement.to_scene(1e3 * structure.vertices_m / unit)
+        structure = Structure(vertices, structure.faces)
+    return structure, repairs

@@ -1,35 +1,45 @@
-"""Points of a tool's whole body, its edges and its inside among them: what must not come near to something."""
+"""A tool's whole body, its pegs and its inside included, as distances to structures are measured from it."""
 
-from math import ceil, pi
+from dataclasses import dataclass
+from itertools import pairwise
+from math import ceil, cos, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from tissue.cutters.cutter import spiral
-from tissue.cutters.profile import Profile
+from tissue.cutters.profile import Arc, Line, Piece, Profile
 
-__all__ = ["body_points"]
+__all__ = ["InnerPoints", "OutlineTable", "body_points", "inner_points", "outline_table"]
 
 ON_SURFACE, INSIDE = 3000, 1000
 """About as many points on the surface and in the inside at most."""
+SAGITTA_M = 2e-6
+"""A ring of edge points lies inside the true edge by at most this [m]."""
+ALONG_AXIS = 6
+"""Inner points along the axis over the tool's radius."""
+CONVEX = 1e-9
 
 
 def body_points(profile: Profile, *, spacing_m: float) -> NDArray[np.float64]:
-    """Points of a body of revolution [m], shape (n, 3), origin at the tip.
+    """Points of a body of revolution [m], shape (n, 3), origin at the tip, for pictures and bounding boxes.
 
     They cover what cuts and what does not, up to the profile's top, every ring at which the outline bends, and the
-    inside on a lattice, so that a thin structure does not vanish in the body. They lie `spacing_m` [m] apart on the
-    surface, or farther where there would be too many: two points a distance s apart on a ball of radius r miss a plane
-    by s²/(4r) at most.
+    inside on a lattice. They lie `spacing_m` [m] apart on the surface, or farther where there would be too many.
     """
     spacing = max(spacing_m, (sum(piece.area_m2 for piece in profile.pieces) / ON_SURFACE) ** 0.5)
     parts = [spiral(piece, spacing_m=spacing)[0] for piece in profile.pieces]
     for radius, height in [*profile.edges.tolist(), *((0.0, height) for height in profile.height_range_m)]:
-        count = max(ceil(2.0 * pi * radius / spacing), 1)
-        turn = np.arange(count) * (2.0 * pi / count)
-        ring = radius * np.column_stack([np.cos(turn), np.sin(turn)])
-        parts.append(np.column_stack([ring, np.full(count, height)]))
+        parts.append(_ring(radius, height, max(ceil(2.0 * pi * radius / spacing), 1)))
     return np.concatenate([*parts, _inside(profile, spacing)])
+
+
+def _ring(radius: float, height: float, count: int) -> NDArray[np.float64]:
+    """Points evenly on a circle around the axis."""
+    turn = np.arange(count) * (2.0 * pi / count)
+    circle = radius * np.column_stack([np.cos(turn), np.sin(turn)])
+    return np.column_stack([circle, np.full(count, height)])
 
 
 def _inside(profile: Profile, spacing: float) -> NDArray[np.float64]:
@@ -40,3 +50,118 @@ def _inside(profile: Profile, spacing: float) -> NDArray[np.float64]:
     grid = np.stack(np.meshgrid(across, across, np.arange(low, high, pitch), indexing="ij"), axis=-1).reshape(-1, 3)
     half = np.column_stack([np.hypot(grid[:, 0], grid[:, 1]), grid[:, 2]])
     return np.asarray(grid[profile.distance(half)[0] < -0.5 * pitch])
+
+
+@dataclass(frozen=True, eq=False)
+class InnerPoints:
+    """Points of a tool that show how deep it lies in a structure.
+
+    A ball needs its centre alone. Other tools need the rings at which their outline bends, and their axis.
+
+    Attributes
+    ----------
+    points
+        Position and depth below the tool's surface [m], shape (n, 4); the first lies deepest.
+    path_m
+        Bound of the change of the overlap from the first point along the order of the points [m], shape (n,).
+    slack_m
+        By how much an edge between two points can lie farther out [m].
+    """
+
+    points: Array
+    path_m: Array
+    slack_m: float
+
+
+def inner_points(profile: Profile) -> InnerPoints:
+    """Compute the inner points of a tool."""
+    low, high = profile.height_range_m
+    if len(profile.pieces) == 1:  # a ball
+        return InnerPoints(np.array([[0.0, 0.0, 0.5 * (low + high), 0.5 * (high - low)]]), np.zeros(1), 0.0)
+    count = max(ceil((high - low) * ALONG_AXIS / profile.radius_m), 2)
+    axis = np.column_stack([np.zeros((count + 1, 2)), np.linspace(low, high, count + 1)])
+    parts = [axis]
+    for radius, height in profile.edges.tolist():
+        step = sqrt(8.0 * SAGITTA_M / max(radius, SAGITTA_M))
+        parts.append(_ring(radius, height, max(ceil(2.0 * pi / step), 1)))
+    points = np.concatenate(parts)
+    half = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
+    depth = np.maximum(-profile.distance(half)[0], 0.0)
+    deepest = int(depth.argmax())
+    points, depth = (np.concatenate([values[deepest : deepest + 1], values]) for values in (points, depth))
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1) + np.abs(np.diff(depth))
+    path = np.concatenate([[0.0], np.cumsum(steps)])
+    return InnerPoints(np.column_stack([points, depth]), path, SAGITTA_M)
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineTable:
+    """Half sections of the convex parts of a tool as numbers, for `kernels.clearance.Outline`.
+
+    Attributes
+    ----------
+    kind
+        0 for a line, 1 for an arc, shape (pieces,).
+    shape
+        Of a line: start, unit direction, length. Of an arc: centre, radius, direction of its middle, cosine of its half
+        angle, directions of its ends. Shape (pieces, 10), [m].
+    first
+        First piece of each part, and the number of pieces, shape (parts + 1,).
+    convex
+        1 where a part is convex, shape (parts,).
+    """
+
+    kind: NDArray[np.int32]
+    shape: Array
+    first: NDArray[np.int32]
+    convex: NDArray[np.int32]
+
+
+def outline_table(profile: Profile) -> OutlineTable:
+    """Split a tool into convex parts, a peg apart from what it guides, and write their outlines as numbers."""
+    parts = _parts(profile)
+    rows = [_row(piece) for part in parts for piece in part]
+    first = np.cumsum([0, *map(len, parts)])
+    convex = [_is_convex(part) for part in parts]
+    kinds = [isinstance(piece, Arc) for part in parts for piece in part]
+    return OutlineTable(
+        np.array(kinds, dtype=np.int32), np.array(rows), first.astype(np.int32), np.array(convex, dtype=np.int32)
+    )
+
+
+def _row(piece: Piece) -> list[float]:
+    """One piece as ten numbers."""
+    if isinstance(piece, Arc):
+        half = 0.5 * (piece.last - piece.first)
+        angles = np.array([piece.first + half, piece.first, piece.last])
+        middle, start, end = np.column_stack([np.cos(angles), np.sin(angles)]).tolist()
+        return [*piece.centre, piece.radius, *middle, cos(half), *start, *end]
+    along = (np.asarray(piece.end) - piece.start) / piece.length_m
+    return [*piece.start, *along.tolist(), piece.length_m, *([0.0] * 5)]
+
+
+def _parts(profile: Profile) -> list[tuple[Piece, ...]]:
+    """Outlines of which the tool is the union; a peg reaches through the tool to its top."""
+    pieces = profile.pieces
+    first = next((k for k, piece in enumerate(pieces) if piece.cutting), 0)
+    if profile.convex or first == 0:
+        return [pieces]
+    foot_radius, foot_height = pieces[first].at(np.zeros(1))[0][0].tolist()
+    top = profile.height_range_m[1]
+    bottom = Line((0.0, foot_height), (foot_radius, foot_height), False)
+    shaft = Line((foot_radius, foot_height), (foot_radius, top), False)
+    lid = Line((foot_radius, top), (0.0, top), False)
+    return [(bottom, *pieces[first:]), (*pieces[:first], shaft, lid)]
+
+
+def _is_convex(pieces: tuple[Piece, ...]) -> bool:
+    """Whether an outline turns only to its left."""
+    ends = np.array([0.0, 1.0])
+    normals = [piece.at(ends)[1] for piece in pieces]
+    for before, after in pairwise(normals):
+        a, b = before[1], after[0]
+        if a[0] * b[1] - a[1] * b[0] < -CONVEX:
+            return False
+    starts_down = normals[0][0][1] <= CONVEX
+    ends_up = normals[-1][1][1] >= -CONVEX
+    return bool(starts_down and ends_up)

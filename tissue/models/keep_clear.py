@@ -1,43 +1,50 @@
-"""How far the tool is from structures that it must not touch: a distance of each at every tick, breaches as events."""
+"""Distance of the tool from structures that it must not touch, at every tick, with breaches as events."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import inf
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.clearance import clearance
-from kernels.elements import CHUNK, Elements
+from kernels.clearance import NODES, TRIANGLES, Tree, clearance
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
+from kernels.tool_distance import Outline
 from meshes.base.arrays import Array
+from meshes.surfaces.box_tree import BoxTree, box_tree, cut_long
+from tissue.cutters.body import inner_points, outline_table
+from tissue.cutters.profile import Profile
 from tissue.models.tissue_model import TICK_S, ToolMotion
 
-__all__ = ["Distance", "DistanceField", "KeepClear"]
+__all__ = ["Distance", "KeepClear", "Structure"]
 
 Distance = Callable[[NDArray[np.float64]], NDArray[np.floating]]
 """Points [m], shape (n, 3), to their signed distance [m], shape (n,), negative inside."""
+DEVICE = "cpu"
+"""One thread searches, wherever the tissue is computed."""
 
 
 @dataclass(frozen=True, eq=False)
-class DistanceField:
-    """Signed distance from a structure on a lattice, interpolated between its points.
+class Structure:
+    """Closed surface of a structure.
 
     Attributes
     ----------
-    origin_m
-        First point of the lattice [m], shape (3,).
-    spacing_m
-        Distance between its points [m].
-    values_m
-        Distance, negative inside the structure [m], shape (nx, ny, nz), float32.
+    vertices_m
+        Vertices [m], shape (n, 3).
+    faces
+        Triangles wound outward, shape (m, 3).
+    slack_m
+        Largest distance between the triangles and the surface that they stand for [m]. It is subtracted from every
+        distance.
     """
 
-    origin_m: Array
-    spacing_m: float
-    values_m: NDArray[np.float32]
+    vertices_m: Array
+    faces: NDArray[np.int64]
+    slack_m: float = 0.0
 
 
 @dataclass
@@ -56,18 +63,22 @@ class _Breach:
 class KeepClear:
     """Distance of a tool's whole body from each of some structures.
 
-    The body is that of the cutter as it is simulated, peg, flank and back included; a shaft behind it is not.
+    The body is that of the cutter as it is simulated, peg, flank and back included; a shaft behind it is not. The
+    distance is positive where both are apart. Where they overlap it is negative: the larger of the depth of the
+    structure's surface in the tool and the depth of the tool's centre, axis and edges in the structure.
 
     Parameters
     ----------
-    points_m
-        Points of the tool's body in its own frame [m], shape (n, 3).
-    fields
-        Structures by name.
+    profile
+        The tool's half section.
+    structures
+        Surfaces by name.
     distances
-        Their signed distances anywhere, for pictures.
-    device
-        Warp device name.
+        Signed distances anywhere, for pictures.
+    points_m
+        Points of the tool's body in its own frame [m], shape (n, 3), for pictures.
+    box_m
+        Lowest and highest corner of the box that the tool can reach [m], shape (2, 3); None where it is not known.
 
     Attributes
     ----------
@@ -76,60 +87,34 @@ class KeepClear:
     names
         Columns of a trace: ``distance_NAME_mm``, negative inside.
     measures
-        Their values of the last tick, shape (structures,).
+        Their values of the last tick, shape (structures,). A value lies below the true distance by at most 0.001 mm and
+        the slack of the structure, and never above it.
     notices
         What has happened, a sentence each; the loop takes them out as it logs them.
     """
 
     def __init__(
         self,
-        points_m: Array,
-        fields: Mapping[str, DistanceField],
+        profile: Profile,
+        structures: Mapping[str, Structure],
         distances: Mapping[str, Distance] | None = None,
         *,
-        device: str,
+        points_m: Array | None = None,
+        box_m: Array | None = None,
     ) -> None:
-        self.points_m, self.distances = points_m, dict(distances or {})
-        self.names = tuple(f"distance_{name}_mm" for name in fields)
-        self.measures, self.notices = np.zeros(len(fields)), list[str]()
-        self._breaches = [_Breach(name) for name in fields]
+        self.points_m = np.zeros((1, 3)) if points_m is None else points_m
+        self.distances = dict(distances or {})
+        self.names = tuple(f"distance_{name}_mm" for name in structures)
+        self.measures, self.notices = np.zeros(len(structures)), list[str]()
+        self._breaches = [_Breach(name) for name in structures]
         self._tick = 0
-        elements = Elements()
-        elements.point = wp.array(points_m, dtype=wp.vec3, device=device)
-        chunks = -(-len(points_m) // CHUNK)
-        self._structures = []
-        for field in fields.values():
-            motion = Mirror((4, 3), dtype=wp.float64, device=device)
-            least = Mirror(chunks, dtype=wp.float32, device=device)
-            launch = SplitLaunch(
-                clearance,
-                dim=chunks,
-                inputs=[
-                    elements,
-                    motion.device,
-                    field.spacing_m,
-                    0,
-                    wp.array(field.values_m, dtype=wp.float32, device=device),
-                ],
-                outputs=[least.device],
-                offset_index=3,
-                device=device,
-                cores=1,
-            )
-            # The kernel's voxel has its value at the centre.
-            first = field.origin_m - 0.5 * field.spacing_m
-            self._structures.append((first, field.spacing_m, motion, motion.host[0], motion.host[1:4], launch, least))
+        outline = _outline(profile)
+        self._structures = [_Search(outline, profile, each, box_m) for each in structures.values()]
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
         """Measure at a tool's pose; `placed` before the first tick."""
-        for number, (first, spacing, motion, tip, axes, launch, least) in enumerate(self._structures):
-            np.subtract(tool.tip_m, first, out=tip)
-            tip /= spacing
-            axes[:] = tool.rotation.T
-            motion.push()
-            launch()
-            least.pull()
-            distance_m = float(np.minimum.reduce(least.host))
+        for number, search in enumerate(self._structures):
+            distance_m = search(tool)
             self.measures[number] = 1e3 * distance_m
             if not placed:
                 self._follow(self._breaches[number], distance_m)
@@ -151,7 +136,7 @@ class KeepClear:
 
     def _leave(self, breach: _Breach, how: str) -> None:
         lasted = (self._tick - breach.began_tick) * TICK_S
-        self.notices.append(f"{how} {breach.name}: {1e3 * breach.deepest_now_m:.2f} mm deep, {lasted:.3g} s long")
+        self.notices.append(f"{how} {breach.name}: {1e3 * breach.deepest_now_m:.3f} mm deep, {lasted:.3g} s long")
         breach.began_tick = -1
 
     def finish(self) -> None:
@@ -172,3 +157,79 @@ class KeepClear:
             for breach in self._breaches
             if breach.least_m < inf
         }
+
+
+class _Search:
+    """Search for the distance between a tool and one structure, with all its memory."""
+
+    def __init__(self, outline: Any, profile: Profile, structure: Structure, box_m: Array | None) -> None:
+        # Coordinates lie along the structure's principal axes, where boxes around its triangles are small. They are
+        # counted from its middle: the sign is found in single precision.
+        vertices = structure.vertices_m
+        self._origin = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        self._turn = np.linalg.eigh(np.cov((vertices - self._origin).T))[1]
+        self._turn[:, 0] *= np.sign(np.linalg.det(self._turn))
+        corners = cut_long(vertices[structure.faces], box_m)
+        tree = box_tree((corners - self._origin) @ self._turn)
+        vertices = (vertices - self._origin) @ self._turn
+        self._slack_m = structure.slack_m
+        self._motion = Mirror((4, 3), dtype=wp.float64, device=DEVICE)
+        self._distance = Mirror(1, dtype=wp.float64, device=DEVICE)
+        self._mesh = wp.Mesh(
+            points=wp.array(vertices, dtype=wp.vec3, device=DEVICE),
+            indices=wp.array(structure.faces.ravel(), dtype=wp.int32, device=DEVICE),
+            support_winding_number=True,
+        )
+        inner = inner_points(profile)
+        self._launch = SplitLaunch(
+            clearance,
+            dim=1,
+            inputs=[
+                0,
+                outline,
+                _tree(tree),
+                self._mesh.id,
+                self._motion.device,
+                wp.array(inner.points, dtype=wp.vec4d, device=DEVICE),
+                wp.array(inner.path_m, dtype=wp.float64, device=DEVICE),
+                inner.slack_m,
+                wp.array([tree.first_leaf], dtype=wp.int32, device=DEVICE),
+                wp.zeros(NODES, dtype=wp.int32, device=DEVICE),
+                wp.zeros(NODES, dtype=wp.float64, device=DEVICE),
+                wp.zeros((TRIANGLES, 3), dtype=wp.vec3d, device=DEVICE),
+                wp.zeros(TRIANGLES, dtype=wp.float64, device=DEVICE),
+            ],
+            outputs=[self._distance.device],
+            offset_index=0,
+            device=DEVICE,
+            cores=1,
+        )
+
+    def __call__(self, tool: ToolMotion) -> float:
+        """Compute the distance [m] at a tool's pose."""
+        motion = self._motion.host
+        np.dot(tool.tip_m - self._origin, self._turn, out=motion[0])
+        np.dot(tool.rotation.T, self._turn, out=motion[1:4])
+        self._launch()
+        return float(self._distance.host[0]) - self._slack_m
+
+
+def _outline(profile: Profile) -> Any:
+    """The tool's outline as the kernel reads it."""
+    table = outline_table(profile)
+    outline = Outline()
+    outline.kind = wp.array(table.kind, dtype=wp.int32, device=DEVICE)
+    outline.shape = wp.array(table.shape, dtype=wp.float64, device=DEVICE)
+    outline.first = wp.array(table.first, dtype=wp.int32, device=DEVICE)
+    outline.convex = wp.array(table.convex, dtype=wp.int32, device=DEVICE)
+    return outline
+
+
+def _tree(made: BoxTree) -> Any:
+    """A tree as the kernel reads it."""
+    tree = Tree()
+    tree.centre = wp.array(made.centres_m, dtype=wp.vec3d, device=DEVICE)
+    tree.half = wp.array(made.halves_m, dtype=wp.vec3d, device=DEVICE)
+    tree.corners = wp.array(made.corners_m, dtype=wp.vec3d, device=DEVICE)
+    tree.first_leaf = made.first_leaf
+    return tree

@@ -1,17 +1,16 @@
 """The tool's distance from structures to keep clear of, held to closed forms and to plain NumPy."""
 
+import re
+
 import numpy as np
 import pytest
 import tomli_w
 import trimesh
 
 import tissue
-from kernels.elements import CHUNK
 from meshes.base.errors import InputError
 from tissue.figures.kept_clear import nearest_places
 from tissue.figures.section import draw_section
-from tissue.models.keep_clear import DistanceField, KeepClear
-from tissue.models.tissue_model import ToolMotion
 
 RADIUS_MM, DEPTH_MM, ASIDE_MM = 3.0, 6.0, 0.5
 """Of a canal along x under the block's face, and how far aside of its axis the burr goes."""
@@ -68,7 +67,8 @@ def test_the_distance_from_a_canal_in_a_block_is_that_of_a_ball_from_a_cylinder(
 def test_a_breach_is_an_event_with_its_depth(run):
     first, last = (event["what"] for event in run.summary["events"])
     assert first == "breached canal, which is to be kept clear of"
-    assert last.startswith(f"left canal: {-exact_mm(run).min():.2f} mm deep")
+    depth = float(re.match(r"left canal: ([0-9.]+) mm deep", last)[1])
+    assert 0.0 <= depth + exact_mm(run).min() < 0.01
 
 
 def test_the_section_shows_where_the_tool_came_nearest(run, tmp_path):
@@ -124,24 +124,6 @@ def test_a_hand_is_watched_too(tmp_path):
     deep = held.trace["tool_z_mm"] < 0.5
     assert deep.any()
     assert np.abs(held.trace["distance_canal_mm"] - exact_mm(held))[deep].max() < 0.02
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_kernel_is_plain_numpy(seed):
-    from scipy.ndimage import map_coordinates
-
-    rng = np.random.default_rng(seed)
-    values = rng.normal(size=(7, 8, 9)).astype(np.float32)
-    field = DistanceField(np.array([-1e-3, 2e-3, 0.0]), 5e-4, values)
-    points = rng.uniform(-4e-4, 4e-4, (CHUNK + 3, 3))
-    found = KeepClear(points, {"a": field}, device="cpu")
-    tool = ToolMotion()
-    tool.tip_m[:] = (0.5e-3, 3.7e-3, 2e-3)
-    tool.rotation[:] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    found.measure(tool)
-    at = (points @ tool.rotation.T + tool.tip_m - field.origin_m) / field.spacing_m
-    wanted = map_coordinates(values.astype(np.float64), at.T, order=1, mode="nearest").min()
-    assert found.measures[0] == pytest.approx(1e3 * wanted, abs=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,199 @@
+"""Signed distance from a tool of revolution, and its bounds over triangles.
+
+The distance to a convex body is a convex function, so its tangent at a point of a triangle bounds it from below over
+the whole triangle.
+"""
+
+import warp as wp
+
+__all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part", "distance_to_tool"]
+
+wp.set_module_options({"enable_backward": False})
+
+TOLERANCE_M = wp.constant(wp.float64(1.0e-6))
+"""A bound that lies at most this far below the smallest distance is good enough [m]."""
+STEPS = wp.constant(10)
+"""Steps down the gradient in a triangle before it is halved."""
+TIE_M = wp.constant(wp.float64(1.0e-12))
+"""Pieces of the outline whose distances differ by less meet at a corner [m]."""
+ARC = wp.constant(1)
+
+
+@wp.struct
+class Outline:
+    """Convex parts of a tool: half sections that turn around z, the origin at the tip."""
+
+    kind: wp.array(dtype=wp.int32)  # [piece] 1 for an arc, 0 for a line
+    shape: wp.array2d(dtype=wp.float64)  # [piece, 10] see `tissue.cutters.body.outline_table`
+    first: wp.array(dtype=wp.int32)  # [part + 1] its first piece
+    convex: wp.array(dtype=wp.int32)  # [part]
+
+
+@wp.func
+def on_line(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
+    """Offset from the nearest point of a straight piece, and the radius of curvature of the distance."""
+    start = wp.vec2d(shape[k, 0], shape[k, 1])
+    along = wp.vec2d(shape[k, 2], shape[k, 3])
+    free = wp.dot(p - start, along)
+    reach = wp.clamp(free, wp.float64(0.0), shape[k, 4])
+    offset = p - start - reach * along
+    bend = wp.float64(1.0e9)
+    if reach != free:
+        bend = wp.length(offset)
+    return offset, bend
+
+
+@wp.func
+def on_arc(shape: wp.array2d(dtype=wp.float64), k: int, p: wp.vec2d):
+    """Offset from the nearest point of an arc, its normal there, and the radius of curvature of the distance."""
+    out = p - wp.vec2d(shape[k, 0], shape[k, 1])
+    reach = wp.length(out)
+    middle = wp.vec2d(shape[k, 3], shape[k, 4])
+    direction = middle
+    if reach > wp.float64(0.0):
+        direction = out / reach
+    if wp.dot(direction, middle) < shape[k, 5]:
+        first = wp.vec2d(shape[k, 6], shape[k, 7])
+        last = wp.vec2d(shape[k, 8], shape[k, 9])
+        direction = wp.where(wp.dot(out, first) > wp.dot(out, last), first, last)
+        reach = wp.length(out - shape[k, 2] * direction)
+    return out - shape[k, 2] * direction, direction, reach
+
+
+@wp.func
+def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
+    """Signed distance of a point from one part, its gradient, and its smallest radius of curvature."""
+    radius = wp.sqrt(point[0] * point[0] + point[1] * point[1])
+    p = wp.vec2d(radius, point[2])
+    nearest = wp.float64(1.0e9)
+    away = wp.vec2d()
+    normal = wp.vec2d()
+    side = wp.float64(0.0)
+    bend = wp.float64(1.0e9)
+    for k in range(outline.first[part], outline.first[part + 1]):
+        offset = wp.vec2d()
+        outward = wp.vec2d()
+        if outline.kind[k] == ARC:
+            offset, outward, curved = on_arc(outline.shape, k, p)
+        else:
+            offset, curved = on_line(outline.shape, k, p)
+            outward = wp.vec2d(outline.shape[k, 3], -outline.shape[k, 2])
+        length = wp.length(offset)
+        if length < nearest - TIE_M:
+            nearest = length
+            away = offset
+            normal = outward
+            bend = curved
+            side = wp.dot(offset, outward)
+        elif length < nearest + TIE_M:
+            side += wp.dot(offset, outward)  # a corner, which belongs to two pieces
+    value = wp.where(side < wp.float64(0.0), -nearest, nearest)
+    slope = normal
+    if nearest > TIE_M:
+        slope = away / value
+    gradient = wp.vec3d(slope[0], wp.float64(0.0), slope[1])
+    if radius > wp.float64(0.0):
+        gradient = wp.vec3d(slope[0] * point[0] / radius, slope[0] * point[1] / radius, slope[1])
+    if slope[0] > wp.float64(0.0):
+        bend = wp.min(bend, radius / slope[0])
+    return value, gradient, bend
+
+
+@wp.func
+def distance_to_tool(outline: Outline, point: wp.vec3d):
+    """Signed distance of a point from all parts."""
+    least = wp.float64(1.0e9)
+    for part in range(outline.convex.shape[0]):
+        value, _gradient, _bend = distance_to_part(outline, part, point)
+        least = wp.min(least, value)
+    return least
+
+
+@wp.func
+def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Point of a triangle nearest to `p` (Ericson 2005, Real-Time Collision Detection, section 5.1.5)."""
+    zero = wp.float64(0.0)
+    ab = b - a
+    ac = c - a
+    d1 = wp.dot(ab, p - a)
+    d2 = wp.dot(ac, p - a)
+    d3 = wp.dot(ab, p - b)
+    d4 = wp.dot(ac, p - b)
+    d5 = wp.dot(ab, p - c)
+    d6 = wp.dot(ac, p - c)
+    va = d3 * d6 - d5 * d4
+    vb = d5 * d2 - d1 * d6
+    vc = d1 * d4 - d3 * d2
+    if d1 <= zero and d2 <= zero:
+        return a
+    if d3 >= zero and d4 <= d3:
+        return b
+    if d6 >= zero and d5 <= d6:
+        return c
+    if vc <= zero and d1 >= zero and d3 <= zero:
+        return a + (d1 / (d1 - d3)) * ab
+    if vb <= zero and d2 >= zero and d6 <= zero:
+        return a + (d2 / (d2 - d6)) * ac
+    if va <= zero and d4 - d3 >= zero and d5 - d6 >= zero:
+        return b + ((d4 - d3) / ((d4 - d3) + (d5 - d6))) * (c - b)
+    total = va + vb + vc
+    return a + (vb / total) * ab + (vc / total) * ac
+
+
+@wp.func
+def best_mix(first: wp.vec3d, second: wp.vec3d):
+    """Weighted mean of two linear functions, given at the corners of a triangle, whose smallest value is largest."""
+    best = first
+    if wp.min(second) > wp.min(best):
+        best = second
+    for i in range(3):
+        j = (i + 1) % 3
+        gap = first[j] - first[i]
+        change = gap - (second[j] - second[i])
+        if change != wp.float64(0.0):
+            share = gap / change
+            if share > wp.float64(0.0) and share < wp.float64(1.0):
+                mixed = first + share * (second - first)
+                if wp.min(mixed) > wp.min(best):
+                    best = mixed
+    return best
+
+
+@wp.func
+def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: wp.float64):
+    """Lower bound of the distance over a triangle, and an upper bound of its smallest value.
+
+    Steps down the gradient lead toward the smallest value. There one tangent bounds a smooth convex distance without a
+    gap, and a mean of tangents bounds one with a crease.
+    """
+    middle = (a + b + c) / wp.float64(3.0)
+    size = wp.max(wp.length(a - middle), wp.max(wp.length(b - middle), wp.length(c - middle)))
+    lower = wp.float64(1.0e9)
+    upper = wp.float64(1.0e9)
+    for part in range(outline.convex.shape[0]):
+        at, slope = middle, wp.vec3d()
+        smallest, reach = wp.float64(1.0e9), wp.float64(1.0)
+        bound = wp.vec3d(wp.float64(-1.0e9))
+        tried = middle
+        step = int(0)
+        while step < STEPS:
+            step += 1
+            value, gradient, bend = distance_to_part(outline, part, tried)
+            tangent = wp.vec3d(wp.dot(gradient, a - tried), wp.dot(gradient, b - tried), wp.dot(gradient, c - tried))
+            tangent += wp.vec3d(value)
+            if outline.convex[part] == 0:
+                tangent = wp.vec3d(value - size)
+                step = STEPS
+            bound = best_mix(bound, tangent)
+            if value < smallest:
+                smallest = value
+                at = tried
+                slope = wp.min(bend, wp.float64(2.0) * size) * gradient
+            else:
+                reach *= wp.float64(0.5)
+            if wp.min(bound) >= wp.min(best, wp.min(upper, smallest)) - TOLERANCE_M:
+                step = STEPS
+            tried = nearest_on_triangle(at - reach * slope, a, b, c)
+        upper = wp.min(upper, smallest)
+        lower = wp.min(lower, wp.min(bound))
+    return lower, upper

@@ -1,0 +1,111 @@
+"""Triangles around a shape, with a bound of their distance from its surface."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.shapes.sdf import Shape
+
+__all__ = ["shape_triangles"]
+
+WANTED_M = 4e-6
+"""Distance of the triangles from the surface that is aimed at [m]."""
+FIRST_POINTS, MOST_POINTS = 1e5, 1e6
+"""Points of the first and of the finest lattice on which the distance is evaluated."""
+ROUNDS = 3
+STEP_M = 1e-6
+"""Of the differences that make the gradient of a distance."""
+
+
+def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, NDArray[np.int64], float]:
+    """Mesh all of a shape's surface that can be nearest to a box.
+
+    The lattice is refined until the triangles lie within 0.004 mm of the surface, or it has a million points.
+
+    Parameters
+    ----------
+    low_m, high_m
+        Corners of the box [m], shape (3,).
+
+    Returns
+    -------
+    vertices_m, faces, slack_m
+        Vertices [m], shape (n, 3), triangles wound outward, shape (m, 3), and their largest depth below the
+        surface [m]. Sharp convex edges decide it where there are some.
+
+    Raises
+    ------
+    InputError
+        If the shape has no surface there.
+    """
+    middle, half = 0.5 * (low_m + high_m), 0.5 * float(np.linalg.norm(high_m - low_m))
+    # No point of the box is farther from the shape than this, so what lies farther off is never the nearest.
+    reach = half + max(float(shape.distance(middle[None])[0]), 0.0)
+    low, high = middle - half - reach, middle + half + reach
+    start, end = np.maximum(middle - half - reach, shape.lower_m), np.minimum(middle + half + reach, shape.upper_m)
+    low, high = _around_surface(shape, start, end)
+    is_cut = np.array([(low <= start) & (start > shape.lower_m), (high >= end) & (end < shape.upper_m)])
+    volume = float(np.prod(high - low))
+    finest, spacing = ((volume / count) ** (1.0 / 3.0) for count in (MOST_POINTS, FIRST_POINTS))
+    for _ in range(ROUNDS):
+        vertices, faces = _contour(shape, low, high, spacing)
+        # A face at which the lattice ends is no surface of the shape.
+        inner = np.where(is_cut, np.array([low + 2.0 * spacing, high - 2.0 * spacing]), [[-np.inf], [np.inf]])
+        slack = _slack(shape, vertices, faces, *inner)
+        if slack <= WANTED_M or spacing <= finest:
+            break
+        spacing = max(spacing * max(0.9 * (WANTED_M / slack) ** 0.5, 0.2), finest)
+    return vertices, faces, slack
+
+
+def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array]:
+    """Corners of a box around the cells of a coarse lattice that may hold some of the surface."""
+    count = np.maximum(np.ceil((high - low) / np.cbrt(np.prod(high - low) / FIRST_POINTS)).astype(int), 1)
+    sides = (high - low) / count
+    centres = (np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3) + 0.5) * sides + low
+    near = centres[np.abs(shape.distance(centres)) <= 0.5 * np.linalg.norm(sides)]
+    if not (len(near) and (low < high).all()):
+        raise InputError("keep_clear must name a structure with a surface, got an empty one: leave it out")
+    return np.maximum(near.min(axis=0) - 0.51 * sides, low), np.minimum(near.max(axis=0) + 0.51 * sides, high)
+
+
+def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Array, NDArray[np.int64]]:
+    """Closed triangles at distance 0, their vertices moved onto the surface."""
+    from skimage.measure import marching_cubes
+
+    first = low - 1.5 * spacing
+    count = np.ceil((high - low) / spacing).astype(int) + 4
+    grid = np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3) * spacing + first
+    values = np.asarray(shape.distance(grid), dtype=np.float64).reshape(count)
+    padded = np.pad(values, 1, constant_values=spacing)
+    if not padded.min() < 0.0:
+        raise InputError("keep_clear must name a structure with a surface, got an empty one: leave it out")
+    vertices, faces, _, _ = marching_cubes(padded, 0.0)
+    at = first + (vertices.astype(np.float64) - 1.0) * spacing
+    within = ((vertices > 1.0) & (vertices < np.array(padded.shape) - 2.0)).all(axis=1)
+    offset, slope = _to_surface(shape, at[within])
+    at[within] -= np.clip(offset, -spacing, spacing)[:, None] * slope
+    return at, faces.astype(np.int64)
+
+
+def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64], low: Array, high: Array) -> float:
+    """Largest depth of centres and edges of triangles below the surface [m], between two corners of a box.
+
+    Triangles outside the surface, in concave edges, make a distance too small, which is the safe side.
+    """
+    corners = vertices[faces]
+    points = np.concatenate([corners.mean(axis=1), *(0.5 * (corners[:, k] + corners[:, k - 1]) for k in range(3))])
+    points = points[((points > low) & (points < high)).all(axis=1)]
+    return float(-_to_surface(shape, points)[0].min(initial=0.0))
+
+
+def _to_surface(shape: Shape, points: Array) -> tuple[Array, Array]:
+    """Signed distance from the surface along the gradient [m] and the unit gradient; the value alone is a bound."""
+    value = np.asarray(shape.distance(points), dtype=np.float64)
+    slope = np.empty_like(points)
+    for axis in range(3):
+        step = STEP_M * np.eye(3)[axis]
+        slope[:, axis] = (shape.distance(points + step) - shape.distance(points - step)) / (2.0 * STEP_M)
+    steep = np.maximum(np.linalg.norm(slope, axis=1), 0.05)
+    return value / steep, slope / steep[:, None]

@@ -1,0 +1,115 @@
+"""Tree of boxes around the triangles of a surface, for searches for the nearest one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+
+__all__ = ["LEAF", "BoxTree", "box_tree", "cut_long"]
+
+LEAF = 4
+"""Triangles in a leaf."""
+LONGEST_M = 0.5e-3
+"""Longest edge of a triangle near the box, where that gives at most `MOST` triangles [m]."""
+BY_DISTANCE = 0.25
+"""Longest edge of a triangle over its distance from the box."""
+MOST = 2e5
+_GRID = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class BoxTree:
+    """Complete binary tree: the children of node i are 2 i + 1 and 2 i + 2.
+
+    Attributes
+    ----------
+    centres_m, halves_m
+        Centre and half sides of a box around all triangles below each node [m], shape (nodes, 3). Half sides are -1
+        where there are none.
+    corners_m
+        Corners of the triangles in the order of the leaves, `LEAF` a leaf [m], shape (triangles, 3, 3).
+    first_leaf
+        Number of the first node that is a leaf.
+    """
+
+    centres_m: Array
+    halves_m: Array
+    corners_m: Array
+    first_leaf: int
+
+
+def box_tree(corners_m: Array) -> BoxTree:
+    """Build a tree around triangles, corners of shape (n, 3, 3) [m]."""
+    corners = _in_order(corners_m)
+    leaves = 1 << max(int(np.ceil(np.log2(-(-len(corners) // LEAF)))), 0)
+    padded = np.full((leaves * LEAF, 3, 3), np.nan)
+    padded[: len(corners)] = corners
+    points = padded.reshape(leaves, 3 * LEAF, 3)
+    low = np.where(np.isnan(points), np.inf, points).min(axis=1)
+    high = np.where(np.isnan(points), -np.inf, points).max(axis=1)
+    levels = [(low, high)]
+    while len(low) > 1:
+        low = np.minimum(low[0::2], low[1::2])
+        high = np.maximum(high[0::2], high[1::2])
+        levels.append((low, high))
+    lows, highs = (np.concatenate(each) for each in zip(*levels[::-1], strict=True))
+    empty = ~np.isfinite(lows)
+    lows[empty], highs[empty] = 2.0, 0.0  # a half side of -1
+    return BoxTree(0.5 * (lows + highs), 0.5 * (highs - lows), corners, leaves - 1)
+
+
+def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
+    """Halve triangles across their longest edge until none is long, so that boxes around them are small.
+
+    Parameters
+    ----------
+    corners_m
+        Corners of the triangles [m], shape (n, 3, 3).
+    box_m
+        Lowest and highest corner of the box from which distances are asked [m], shape (2, 3); triangles far from it may
+        be longer. None for everywhere.
+    """
+    corners, box, longest_m = corners_m, box_m, LONGEST_M
+    while True:
+        done: list[Array] = []
+        rest, count = corners, 0
+        while len(rest) and count + len(rest) <= MOST + len(corners):
+            edges = np.linalg.norm(np.roll(rest, -1, axis=1) - rest, axis=2)
+            allowed = longest_m + BY_DISTANCE * _away(rest.mean(axis=1), box)
+            long = edges.max(axis=1) > allowed
+            done.append(rest[~long])
+            count += len(done[-1])
+            rest = _halves(rest[long], edges[long].argmax(axis=1))
+        if not len(rest):
+            return np.concatenate(done)
+        longest_m *= 2.0
+
+
+def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
+    """Halve each triangle across the edge that starts at its corner `longest`."""
+    turned = np.take_along_axis(corners, ((longest[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
+    a, b, c = turned[:, 0], turned[:, 1], turned[:, 2]
+    middle = 0.5 * (a + b)
+    return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+
+
+def _away(points: Array, box: Array | None) -> Array:
+    """Distance of points from a box [m], 0 inside."""
+    if box is None:
+        return np.zeros(len(points))
+    outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)
+    return np.linalg.norm(outside, axis=1)
+
+
+def _in_order(corners: Array) -> Array:
+    """Sort triangles along a Morton curve, so that neighbours share a leaf."""
+    centres = corners.mean(axis=1)
+    low, size = centres.min(axis=0), float(np.ptp(centres, axis=0).max()) or 1.0
+    cells = np.minimum((centres - low) / size * _GRID, _GRID - 1).astype(np.int64)
+    code = np.zeros(len(cells), dtype=np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return corners[np.argsort(code, kind="stable")]

@@ -1,0 +1,123 @@
+"""Distance between tool and structure, held to closed forms in turned and moved frames, and to a sampled brute force."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from meshes.shapes.sdf import capsule
+from meshes.shapes.triangles import shape_triangles
+from tissue.cutters import profile
+from tissue.models.keep_clear import KeepClear, Structure
+from tissue.models.tissue_model import ToolMotion
+
+SECTIONS = 128
+ABOVE_MM, BELOW_MM = 1e-6, 0.01
+"""How far a distance may lie above the true one, and below it."""
+BALL = profile.ball_burr(diameter_m=3e-3)
+MILL = profile.cylinder(diameter_m=3e-3, length_m=8e-3)
+REAMER = profile.hemispherical_reamer(diameter_m=12e-3, peg_diameter_m=3e-3, peg_length_m=4e-3)
+FLAT = profile.flat_reamer(diameter_m=10e-3, length_m=3e-3, peg_diameter_m=3e-3, peg_length_m=4e-3)
+DRILL = profile.twist_drill(diameter_m=2e-3, length_m=20e-3, point_angle_rad=2.06)
+
+
+def nerve(diameter_m):
+    """A cylinder along z whose facets touch the round one from outside, so that they lie nowhere inside it."""
+    radius = 0.5 * diameter_m / np.cos(np.pi / SECTIONS)
+    return trimesh.creation.cylinder(radius=radius, height=40e-3, sections=SECTIONS)
+
+
+class Frame:
+    """A frame that is turned and far away, in which structure and tool are given."""
+
+    def __init__(self, seed, made, shape):
+        rng = np.random.default_rng(seed)
+        self.turn, self.shift = Rotation.random(random_state=seed), rng.uniform(-0.5, 0.5, 3)
+        vertices = self.turn.apply(np.asarray(made.vertices)) + self.shift
+        self.clear = KeepClear(shape, {"nerve": Structure(vertices, np.asarray(made.faces))})
+
+    def __call__(self, tip_m, turn=None):
+        """Distance [mm] for a tip and rotation in the structure's own frame."""
+        tool = ToolMotion()
+        tool.tip_m[:] = self.turn.apply(tip_m) + self.shift
+        tool.rotation[:] = (self.turn * (turn or Rotation.identity())).as_matrix()
+        self.clear.measure(tool)
+        return float(self.clear.measures[0])
+
+
+def require_safe(found_mm, exact_m):
+    assert 1e3 * exact_m - BELOW_MM <= found_mm <= 1e3 * exact_m + ABOVE_MM
+
+
+@pytest.mark.parametrize("diameter_mm", [1.0, 0.6, 0.3])
+def test_ball_and_cylinder(diameter_mm):
+    """Distance of the ball's centre from the axis, less both radii, apart and in each other up to the very axis."""
+    frame, rng = Frame(3, nerve(1e-3 * diameter_mm), BALL), np.random.default_rng(1)
+    for apart in [0.0, 1e-5, 1.5e-3 + 0.5e-3 * diameter_mm, *rng.uniform(0.0, 4e-3, 60)]:
+        angle, along = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-8e-3, 8e-3)
+        turn = Rotation.random(random_state=rng.integers(1000))
+        centre = np.array([apart * np.cos(angle), apart * np.sin(angle), along])
+        found = frame(centre - turn.apply([0.0, 0.0, 1.5e-3]), turn)
+        require_safe(found, apart - 1.5e-3 - 0.5e-3 * diameter_mm)
+
+
+@pytest.mark.parametrize("diameter_mm", [1.0, 0.6, 0.3])
+def test_end_mill_and_cylinder(diameter_mm):
+    """Under the face, next to the side and diagonally off the rim, where the distance is plain."""
+    frame, radius = Frame(5, nerve(1e-3 * diameter_mm), MILL), 0.5e-3 * diameter_mm
+    upright = Rotation.from_euler("y", 90, degrees=True)  # the mill's axis lies along x, the nerve along z
+    for gap in (-0.1e-3, 0.0, 0.02e-3, 1e-3):
+        require_safe(frame([radius + gap, 0.0, 2e-3], upright), gap)
+        require_safe(frame([-4e-3, -1.5e-3 - radius - gap, 1e-3], upright), gap)
+    for aside, under in ((0.5e-3, 0.3e-3), (0.2e-3, 0.4e-3), (1e-3, 1e-3)):
+        found = frame([under, -1.5e-3 - aside, 0.5e-3], upright)
+        require_safe(found, np.hypot(aside, under) - radius)
+
+
+def test_edge_of_an_end_mill_in_a_flat_wall():
+    """A rim that dips into a wall breaches it by as much as it dips, though the wall's face lies less deep in the tool."""
+    wall = trimesh.creation.box((30e-3, 30e-3, 10e-3))
+    wall.apply_translation([0.0, 0.0, -5e-3])
+    frame = Frame(7, wall, MILL)
+    turn = Rotation.from_euler("x", 45, degrees=True)
+    lowest = turn.apply([0.0, -1.5e-3, 0.0])[2]
+    for depth in (-0.5e-3, 0.05e-3, 0.3e-3, 1.0e-3):
+        require_safe(frame([1e-3, 2e-3, -lowest - depth], turn), -depth)
+
+
+@pytest.mark.parametrize("shape", [REAMER, FLAT, DRILL, MILL, profile.pear_bur(diameter_m=2e-3, length_m=4e-3)])
+def test_any_tool_and_a_small_ball(shape):
+    """Distance of the ball's centre from the half section, less the ball's radius; the section's own search finds it."""
+    radius, rng = 0.15e-3, np.random.default_rng(2)
+    made = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+    inner = float(np.min(np.einsum("ij,ij->i", made.face_normals, made.triangles_center)))
+    made.apply_scale(radius / inner)  # the facets touch the ball from outside
+    frame = Frame(11, made, shape)
+    low, high = shape.height_range_m
+    for _ in range(60):
+        at = np.array([rng.uniform(0.0, shape.radius_m + 2e-3), rng.uniform(low - 2e-3, high + 2e-3)])
+        exact = float(shape.distance(at[None])[0][0]) - radius
+        if exact < -0.5 * radius:
+            continue  # a peg is measured as it goes on in the tool, so that deep inside depths are bounds
+        turn, around = Rotation.random(random_state=rng.integers(1000)), rng.uniform(0.0, 2.0 * np.pi)
+        centre = turn.apply([at[0] * np.cos(around), at[0] * np.sin(around), at[1]])
+        require_safe(frame(-centre, turn), exact)
+
+
+def test_a_tool_that_lies_wholly_in_a_structure():
+    """The depth goes on growing after the surfaces part again."""
+    frame = Frame(13, trimesh.creation.icosphere(subdivisions=5, radius=8e-3), BALL)
+    for aside in (0.0, 2e-3, 5e-3):
+        assert frame([aside, 0.0, -1.5e-3]) == pytest.approx(1e3 * (aside - 9.5e-3), abs=0.03)  # facets 0.02 mm inside
+
+
+def test_a_shape_of_the_anatomy_is_meshed_finely_enough():
+    """Triangles around a capsule of 0.3 mm, less their slack, against its own formula."""
+    shape = capsule(0.15e-3, (-8e-3, 1e-3, 0.0), (8e-3, -2e-3, 1e-3))
+    vertices, faces, slack = shape_triangles(shape, np.full(3, -5e-3), np.full(3, 5e-3))
+    assert slack < 6e-6
+    clear, rng = KeepClear(BALL, {"nerve": Structure(vertices, faces, slack)}), np.random.default_rng(0)
+    for centre in rng.uniform(-3e-3, 3e-3, (60, 3)):
+        tool = ToolMotion(tip_m=centre - [0.0, 0.0, 1.5e-3])
+        clear.measure(tool)
+        require_safe(float(clear.measures[0]), float(shape.distance(centre[None])[0]) - 1.5e-3)
