@@ -7,38 +7,29 @@ from pathlib import Path
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.fitting import needle_walls, organ_constants
+from tissue.fitting import organ_constants
 from tissue.fitting.cutting_problem import cutting_problem
-from tissue.fitting.device_problem import device_problem
-from tissue.fitting.drawn_information import drawn_information
 from tissue.fitting.experiments import Gain, expected_information
 from tissue.fitting.identifiability import Identified, identified
 from tissue.fitting.log import MeasuredLog
-from tissue.fitting.needle_problem import needle_problem
-from tissue.fitting.nuts import Draws, draw_by_nuts, require_nuts
 from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.posterior import Posterior, maximum_posterior
-from tissue.fitting.problem import Problem
-from tissue.fitting.target import OFFSET_S
 from tissue.materials.prior import Prior
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 
-__all__ = ["ConstantFit", "SceneFit", "fit_device", "fit_scene"]
+__all__ = ["ConstantFit", "SceneFit", "fit_scene"]
 
 PROBLEMS = {
     "tissue.builders.cutting:milled": cutting_problem,
-    "tissue.builders.organ_scene:pierced": needle_problem,
     "tissue.builders.organ_scene:pressed": organ_problem,
 }
 """What a log of a scene is compared with, by what builds its tissue."""
-FITTED = "fit a scene of bone, a tooth, an organ or a needle"
-NUISANCES = ("density.", "motors.", organ_constants.KEYS, needle_walls.KEYS)
+FITTED = "fit a scene of bone, a tooth or an organ"
+NUISANCES = ("density.", organ_constants.KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
 VISIBLE = 20.0
 """Force over the noise's scale from which noise is not why a log determines nothing."""
-SEED = 0
-"""Of the draws: a log has the same fit each time."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +48,6 @@ class ConstantFit:
         Standard deviation after over that before.
     state
         ``determined``, ``narrowed``, or ``at its prior``.
-    laplace
-        5, 50 and 95 % of Laplace's approximation, where the three above are those of draws; else None.
     """
 
     name: str
@@ -68,7 +57,6 @@ class ConstantFit:
     high: float
     contraction: float
     state: str
-    laplace: tuple[float, float, float] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +66,7 @@ class SceneFit:
     Attributes
     ----------
     name
-        Of the scene or the device.
+        Of the scene.
     path
         File of what was measured.
     posterior
@@ -91,8 +79,6 @@ class SceneFit:
         Time over which samples were averaged [s].
     notes
         What was found or assumed, in sentences.
-    draws
-        Draws of the posterior, shape (chains, draws, size), where it was sampled.
     fixed
         Constants on which the free ones rest, by their names.
     """
@@ -104,7 +90,6 @@ class SceneFit:
     gains: tuple[Gain, ...]
     block_s: float
     notes: tuple[str, ...]
-    draws: Draws | None
     fixed: Mapping[str, float]
 
     @property
@@ -112,9 +97,7 @@ class SceneFit:
         """All free constants, in the order of the forward model."""
         found = []
         for at, (name, prior) in enumerate(zip(self.posterior.names, self.posterior.priors, strict=True)):
-            laplace = self.posterior.interval(at)
-            drawn = None if self.draws is None else prior.x(self.draws.quantiles(at)).tolist()
-            low, value, high = drawn or laplace
+            low, value, high = self.posterior.interval(at)
             state = (
                 "determined"
                 if name in self.identified.determined
@@ -123,7 +106,7 @@ class SceneFit:
                 else "narrowed"
             )
             share = float(self.identified.contraction[at])
-            found.append(ConstantFit(name, prior, low, value, high, share, state, laplace if drawn else None))
+            found.append(ConstantFit(name, prior, low, value, high, share, state))
         return tuple(found)
 
     @property
@@ -134,10 +117,7 @@ class SceneFit:
     @property
     def offset_interval_s(self) -> tuple[float, float]:
         """90 % interval of the offset of the clocks [s]."""
-        if self.draws is None:
-            return self.posterior.offset_interval_s
-        low, _, high = (OFFSET_S * self.draws.quantiles(len(self.posterior.names))).tolist()
-        return low, high
+        return self.posterior.offset_interval_s
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -155,8 +135,6 @@ class SceneFit:
         ]
         if not self.posterior.converged:
             found.append("the search did not come to a maximum: the intervals are not to be trusted")
-        if self.draws is not None:
-            found += [self.draws.sentence, *self.draws.warnings]
         return tuple(found)
 
 
@@ -165,7 +143,6 @@ def fit_scene(
     log: MeasuredLog,
     *,
     free: Sequence[str] = (),
-    nuts: bool = False,
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> SceneFit:
@@ -182,8 +159,6 @@ def fit_scene(
         What was measured, in the scene's frame.
     free
         Constants that are free, see `tissue.fitting.cutting_parameters.free_constants`; nothing frees the usual ones.
-    nuts
-        Draw from the posterior; without, it is a normal law about its maximum.
     cores
         Processor cores to use; default all.
     progress
@@ -192,53 +167,22 @@ def fit_scene(
     Raises
     ------
     InputError
-        If such a scene cannot be fitted, the tool never cuts along the log, the log determines no constant, or there is
-        no NumPyro to draw with.
+        If such a scene cannot be fitted, the tool never cuts along the log, or the log determines no constant.
     """
     report = progress or silent
-    if nuts:
-        require_nuts()
     build = ANATOMIES[scene.anatomy.kind].build
     if build not in PROBLEMS:
         raise InputError(f"scene must be one of tissue, got a {scene.anatomy.kind}: {FITTED}")
     problem = PROBLEMS[build](scene, log, free, cores=cores, progress=report)
-    return _fitted(scene.name, log.path, problem, log.notes, report, nuts=nuts)
-
-
-def fit_device(
-    device: str,
-    free: Path,
-    held: Path | None,
-    columns: Sequence[str] = (),
-    *,
-    nuts: bool = False,
-    progress: Progress | None = None,
-) -> SceneFit:
-    """Fit mass, damping and friction of a device to logs of it, see `tissue.fitting.device_problem.device_problem`."""
-    report = progress or silent
-    if nuts:
-        require_nuts()
-    return _fitted(device, free, device_problem(device, free, held, tuple(columns)), (), report, nuts=nuts)
-
-
-def _fitted(
-    name: str, path: Path, problem: Problem, notes: tuple[str, ...], report: Progress, *, nuts: bool
-) -> SceneFit:
-    """The fit of a problem, and what it determines."""
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
     found = identified(posterior)
     require_information(found, posterior)
-    draws = None
-    if nuts:
-        report("drawing by NUTS, which takes minutes", 0.82)
-        draws = draw_by_nuts(posterior.target, posterior.maximum, posterior.covariance, seed=SEED)
-        found = drawn_information(found, posterior, draws)
     report("what to measure next", 0.9)
     material = [at for at, each in enumerate(posterior.names) if not each.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(posterior), among=material)
-    both = (*notes, *problem.notes)
-    return SceneFit(name, path, posterior, found, tuple(gains), problem.block_s, both, draws, problem.fixed)
+    both = (*log.notes, *problem.notes)
+    return SceneFit(scene.name, log.path, posterior, found, tuple(gains), problem.block_s, both, problem.fixed)
 
 
 def require_information(found: Identified, posterior: Posterior) -> None:
