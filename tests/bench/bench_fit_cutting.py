@@ -1,7 +1,7 @@
-"""Coverage of fits to cuts: `python tests/bench/bench_fit_cutting.py [bone|tooth] [--truth prior|ends|cited]`.
+"""Coverage of fits to cuts: `python tests/bench/bench_fit_cutting.py [block|bone|tooth] [--truth prior|ends|cited]`.
 
-A glenoid is reamed through its plate into trabecular bone, and a carious lesion is drilled out of a molar, each at two
-feeds. The geometry is recorded once. Each log then has its own constants, sensor bias, clock offset and autocorrelated
+A block is milled, a glenoid is reamed through its plate into trabecular bone, and a carious lesion is drilled out of a
+molar, each at two feeds. The geometry is recorded once. Each log then has its own constants, sensor bias, clock offset and autocorrelated
 noise with heavy tails, and is fitted. `--truth` chooses the constants:
 
 - prior: all of them drawn from their priors, a one-sided constant being its cited value in half of the logs;
@@ -39,10 +39,26 @@ from tissue.fitting.target import OFFSET_S  # noqa: E402
 from tissue.scene.load import load_scene  # noqa: E402
 
 CUTS = {
-    "bone": ("glenoid", {"voxels.spacing_mm": 0.25}, [0.5, -1.0, -1.4, -3.0, -3.3], [0.0, 1.0, 2.0, 2.8, 3.8], 0.0),
-    "tooth": ("caries", {}, [0.4, -1.2, -1.6, -3.0, -3.0, -3.0], [0.0, 0.8, 1.8, 2.5, 3.0, 3.8], 0.6),
+    "block": (
+        "milling",
+        {"voxels.spacing_mm": 0.3, "tool.shell_spacing_mm": 0.3},
+        [(-4.0, 0.3), (-4.0, -0.6), (-2.0, -0.6), (2.0, -0.6)],
+        [0.0, 0.8, 2.0, 2.8],
+    ),
+    "bone": (
+        "glenoid",
+        {"voxels.spacing_mm": 0.25},
+        [(0.0, 0.5), (0.0, -1.0), (0.0, -1.4), (0.0, -3.0), (0.0, -3.3)],
+        [0.0, 1.0, 2.0, 2.8, 3.8],
+    ),
+    "tooth": (
+        "caries",
+        {},
+        [(0.0, 0.4), (0.0, -1.2), (0.0, -1.6), (0.0, -3.0), (0.0, -3.0), (0.6, -3.0)],
+        [0.0, 0.8, 1.8, 2.5, 3.0, 3.8],
+    ),
 }
-"""Scene, changes, heights of the tip [mm] and their times [s], and how far it goes aside at the end [mm]."""
+"""Scene, changes, places of the tip along x and z [mm], and their times [s]."""
 BLOCK = 40
 """Ticks of a block of the log's samples, 1 kHz, that are averaged."""
 NOISE, BIAS, CORRELATION = 0.06, 0.1, 0.9
@@ -59,11 +75,10 @@ summed numerically, to save time."""
 @cache
 def cut(kind: str) -> tuple[CuttingForward, CuttingForward]:
     """Every tick, and averaged as the fit takes it."""
-    name, changes, heights, times, aside = CUTS[kind]
+    name, changes, places, times = CUTS[kind]
     scene = load_scene(name, changes).model_copy(update={"stress": None})
-    tips = np.zeros((len(heights), 3))
-    tips[:, 2] = heights
-    tips[-1, 0] = aside
+    tips = np.zeros((len(places), 3))
+    tips[:, [0, 2]] = places
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(tips), 1))
     whole = cutting_forward(scene, np.array(times), 1e-3 * tips, upright, cores=1)
     log = block_averages(whole.times_s, np.zeros((len(whole.times_s), 6)), whole.channels, BLOCK)

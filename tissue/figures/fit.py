@@ -31,8 +31,8 @@ class FittedConstant:
         Its unit.
     cited, fitted
         Median and the ends of the 90 % interval, (low, value, high), before and after.
-    fitted_z
-        The fitted three in standard deviations of the prior.
+    fitted_z, cited_z
+        The fitted three, and the ends of the cited range, in standard deviations of the prior.
     is_identified
         Whether the log narrows it.
     """
@@ -42,6 +42,7 @@ class FittedConstant:
     cited: tuple[float, float, float]
     fitted: tuple[float, float, float]
     fitted_z: tuple[float, float, float]
+    cited_z: tuple[float, float]
     is_identified: bool
 
 
@@ -124,7 +125,8 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
     axes = chart.subplots()
     chart.subplots_adjust(left=0.34, right=0.7, top=1.0 - 0.4 / height, bottom=0.55 / height)
     for row, one in enumerate(constants):
-        axes.barh(row, 3.29, left=-1.645, height=0.7, color=PRIOR, linewidth=0.0)
+        least, most = one.cited_z
+        axes.barh(row, most - least, left=least, height=0.7, color=PRIOR, linewidth=0.0)
         low, middle, high = one.fitted_z
         colour = SIMULATED if one.is_identified else "0.45"
         axes.plot([low, high], [row, row], color=colour, linewidth=3.2, solid_capstyle="butt")

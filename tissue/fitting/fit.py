@@ -1,8 +1,10 @@
 """Constants of a scene from a measured force log."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -14,6 +16,7 @@ from tissue.fitting.identifiability import Identified, identified
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.posterior import Posterior, maximum_posterior
+from tissue.fitting.target import OFFSET_S
 from tissue.materials.prior import Prior
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
@@ -28,6 +31,8 @@ PROBLEMS = {
 FITTED = "fit a scene of bone, a tooth or an organ"
 NUISANCES = ("density.", organ_constants.KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
+FAR = 3.0
+"""Standard deviations of a prior beyond which a value contradicts it: 0.3 % of constants lie there by chance."""
 VISIBLE = 20.0
 """Force over the noise's scale from which noise is not why a log determines nothing."""
 
@@ -41,13 +46,16 @@ class ConstantFit:
     name
         ``TABLE.MATERIAL.NAME``, or ``density.LAYER``, the factor on the density of a layer of this specimen.
     prior
-        Before.
+        Cited median and range.
     low, value, high
         5, 50 and 95 % after, in the unit of the name.
+    z
+        The three, and the ends of the cited range, in standard deviations of the prior, shape (5,).
     contraction
         Standard deviation after over that before.
     state
-        ``determined``, ``narrowed``, or ``at its prior``.
+        ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``: far outside its cited range, or found with
+        clocks that contradict their prior.
     """
 
     name: str
@@ -55,8 +63,14 @@ class ConstantFit:
     low: float
     value: float
     high: float
+    z: tuple[float, ...]
     contraction: float
     state: str
+
+    @property
+    def is_far(self) -> bool:
+        """Whether the value lies far outside the cited range."""
+        return abs(self.z[1]) > FAR
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,17 +110,53 @@ class SceneFit:
     def constants(self) -> tuple[ConstantFit, ...]:
         """All free constants, in the order of the forward model."""
         found = []
-        for at, (name, prior) in enumerate(zip(self.posterior.names, self.posterior.priors, strict=True)):
+        for at, parameter in enumerate(self.posterior.target.forward.parameters):
             low, value, high = self.posterior.interval(at)
-            state = (
-                "determined"
-                if name in self.identified.determined
-                else "at its prior"
-                if name in self.identified.at_prior
-                else "narrowed"
-            )
+            cited = parameter.cited or parameter.prior
+            z = parameter.prior.z([low, value, high, cited.low, cited.high]).tolist()
             share = float(self.identified.contraction[at])
-            found.append(ConstantFit(name, prior, low, value, high, share, state))
+            each = ConstantFit(parameter.name, cited, low, value, high, tuple(z), share, self._state(parameter.name))
+            is_doubtful = each.is_far or (each.state == "determined" and self.has_strange_clocks)
+            found.append(replace(each, state="doubtful") if is_doubtful else each)
+        return tuple(found)
+
+    def _state(self, name: str) -> str:
+        """What the log says of a constant, whether or not that agrees with its cited range."""
+        if name in self.identified.determined:
+            return "determined"
+        return "at its prior" if name in self.identified.at_prior else "narrowed"
+
+    @property
+    def offset_sd(self) -> float:
+        """Offset of the clocks in standard deviations of its prior."""
+        return self.posterior.nuisances.offset_s / OFFSET_S
+
+    @property
+    def has_strange_clocks(self) -> bool:
+        """Whether the offset of the clocks contradicts its prior."""
+        return abs(self.offset_sd) > FAR
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences on what contradicts the priors."""
+        found = []
+        if self.has_strange_clocks:
+            found.append(
+                f"the forces come {1e3 * self.posterior.nuisances.offset_s:.3g} ms after the poses, "
+                f"{abs(self.offset_sd):.1f} standard deviations of the {1e3 * OFFSET_S:g} ms that are expected. No "
+                "constant counts as determined. Check the times of poses and forces, and the place where the tool "
+                "touches"
+            )
+        for each in self.constants:
+            if each.is_far:
+                end, side = (each.prior.low, "below") if each.z[1] < 0.0 else (each.prior.high, "above")
+                times = max(each.value, end) / min(each.value, end) if min(each.value, end) > 0.0 else np.inf
+                by = f"{times:.3g} times {side}" if np.isfinite(times) else side
+                found.append(
+                    f"{each.name} = {each.value:.3g} is {by} its range of {each.prior.low:g} to {each.prior.high:g} "
+                    f"({abs(each.z[1]):.1f} standard deviations of the prior) and does not count as determined. Check "
+                    "the units and signs of the log, the scene and the tool"
+                )
         return tuple(found)
 
     @property

@@ -91,12 +91,16 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
     entries: list[FittedEntry] = []
     for at in fit.of_material:
         each = all_constants[at]
-        how = {"determined": "M", "narrowed": "L", "at its prior": "L"}[each.state]
-        text = source if each.state != "at its prior" else f"{source}, which does not narrow the cited range"
+        how = "M" if each.state == "determined" else "L"
+        reservation = {
+            "at its prior": ", which does not narrow the cited range",
+            "doubtful": ", doubtful: it contradicts the cited range or the clocks of the log",
+        }
+        text = source + reservation.get(each.state, "")
         entries.append(FittedEntry(each.name, each.value, each.low, each.high, text, how))
     text = "the density at which the fitted coefficients are stated"
     fixed = [FittedEntry(name, value, value, value, text, "H") for name, value in fit.fixed.items()]
-    places = np.array(fit.of_material)
+    places = np.array(fit.of_material, dtype=np.int64)
     covariance = posterior.covariance_z[np.ix_(places, places)]
     spread = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(spread, spread)
@@ -109,10 +113,12 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
 
 def _shown(each: ConstantFit) -> FittedConstant:
     label, unit = unit_of(each.name)
+    label = f"{label} (doubtful)" if each.state == "doubtful" else label
     fitted = (each.low, each.value, each.high)
-    low, middle, high = (float(each.prior.z(value)) for value in fitted)
+    low, middle, high, *ends = each.z
     cited = (each.prior.low, each.prior.value, each.prior.high)
-    return FittedConstant(label, unit, cited, fitted, (low, middle, high), each.state != "at its prior")
+    is_narrowed = each.state != "at its prior"
+    return FittedConstant(label, unit, cited, fitted, (low, middle, high), (ends[0], ends[1]), is_narrowed)
 
 
 def _autocorrelation(values: Array) -> Array:
@@ -142,10 +148,12 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
         "scene": fit.name,
         "measured": {"file": fit.path.name, "sha256": digest, "block_s": fit.block_s},
         "converged": fit.posterior.converged,
+        "doubts": list(fit.doubts),
         "constants": [
             {
                 "name": one.name, "p05": one.low, "p50": one.value, "p95": one.high, "contraction": one.contraction,
                 "state": one.state, "prior": [one.prior.low, one.prior.value, one.prior.high],
+                "standard_deviations_from_prior": one.z[1],
             }
             for one in fit.constants
         ],
@@ -168,8 +176,11 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
 
 
 def verdicts(fit: SceneFit) -> list[str]:
-    """What the log determines, in sentences: determined constants, combinations, what stays at its prior, what next."""
-    found = []
+    """What the log determines, in sentences.
+
+    In this order: what contradicts the priors, determined constants, combinations, what stays at its prior, what next.
+    """
+    found = [f"doubtful: {each}" for each in fit.doubts]
     names = {each.name: " ".join(filter(None, unit_of(each.name))) for each in fit.constants}
     for each in fit.constants:
         if each.state == "determined":
