@@ -58,4 +58,6 @@ def fit(
         found.save(folder, overwrite=overwrite)
     for sentence in (*found.verdicts, *found.fitted.sentences):
         console.print(sentence)
-    console.print(f"files in {folder}; next: tissue run {scene} --set materials={folder / 'fitted.toml'}")
+    changes = [f"materials={folder / 'fitted.toml'}"] if found.fitted.of_material else []
+    changes += [f"{name}={value:.4g}" for name, value in found.fitted.scene_keys.items()]
+    console.print(f"files in {folder}; next: tissue run {scene} {' '.join(f'--set {each}' for each in changes)}")

@@ -165,6 +165,11 @@ class SceneFit:
         return tuple(at for at, name in enumerate(self.posterior.names) if not name.startswith(NUISANCES))
 
     @property
+    def scene_keys(self) -> dict[str, float]:
+        """Medians of the fitted keys of the scene, which are no constants of a material."""
+        return {each.name: each.value for each in self.constants if each.name.startswith(organ_constants.KEYS)}
+
+    @property
     def offset_interval_s(self) -> tuple[float, float]:
         """90 % interval of the offset of the clocks [s]."""
         return self.posterior.offset_interval_s
