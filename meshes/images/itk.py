@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, by
+from meshes.base.text_numbers import number_in
 from meshes.images.frame import StoredImage
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def numbers(fields: Mapping[str, str], key: str, path: Path, *, positive: bool =
     if key not in fields:
         return None
     try:
-        found = [float(word) for word in fields[key].replace("(", " ").replace(")", " ").replace(",", " ").split()]
+        found = [number_in(word) for word in fields[key].replace("(", " ").replace(")", " ").replace(",", " ").split()]
     except ValueError:
         found = [np.nan]
     if not np.isfinite(found).all():

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_file
+from meshes.base.text_numbers import number_in, require_distinct_columns
 from meshes.paths.gcode import read_gcode
 from meshes.surfaces.markups import TO_LPS, read_curve
 
@@ -79,6 +80,7 @@ def _read_table(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | 
             reader = csv.DictReader(opened, skipinitialspace=True)
             names = tuple(name.strip() for name in reader.fieldnames or ())
             reader.fieldnames = names
+            require_distinct_columns(names, "path", file)
             _check_columns(names, file)
             used = [name for name in (*_PLACE, _FEED, *_AXIS) if name in names]
             rows = [[_number(row[name], name, reader.line_num, file) for name in used] for row in reader]
@@ -121,7 +123,7 @@ def _check_columns(names: tuple[str, ...], file: Path) -> None:
 
 def _number(text: str | None, name: str, line: int, file: Path) -> float:
     try:
-        value = float(text or "")
+        value = number_in(text or "")
     except ValueError:
         value = float("nan")
     if not np.isfinite(value):

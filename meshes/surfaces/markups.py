@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, as_vector, require_file
+from meshes.base.text_numbers import number_in, require_distinct_columns
 
 __all__ = ["TO_LPS", "MarkedSite", "Markup", "read_curve", "read_markups", "read_site"]
 
@@ -195,6 +196,7 @@ def _point_list(file: Path) -> Markup:
                 frame = _frame(value.strip(), file)
             elif key.strip() == "columns":
                 columns = tuple(name.strip() for name in value.split(","))
+                require_distinct_columns(columns, "markups", file)
             continue
         if not line.strip():
             continue
@@ -202,11 +204,19 @@ def _point_list(file: Path) -> Markup:
             frame = _frame(None, file)
         row = dict(zip(columns, next(csv.reader([line])), strict=False))
         label = row.get("label") or row.get("id") or str(len(points) + 1)
-        points.append(frame * _three([row.get(axis) for axis in "xyz"], label, file))
+        points.append(frame * _three([_number(row.get(axis)) for axis in "xyz"], label, file))
         labels.append(label)
     if not points:
         raise InputError(f"markups must hold at least one point, got none in {file}: save them again")
     return Markup(_POINTS, np.array(points), tuple(labels))
+
+
+def _number(text: str | None) -> float:
+    """The number of a cell, NaN where it holds none."""
+    try:
+        return number_in(text or "")
+    except ValueError:
+        return float("nan")
 
 
 def _frame(name: object, file: Path) -> NDArray[np.float64]:

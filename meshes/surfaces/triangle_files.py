@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_file
 from meshes.base.isolated_parser import parse_isolated
+from meshes.base.text_numbers import number_in, whole_number_in
 from meshes.surfaces.repair import Triangles
 
 __all__ = ["SURFACE_SUFFIXES", "read_triangles", "require_triangles"]
@@ -148,7 +149,7 @@ def _read_obj(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 def _vertex(rest: str) -> list[float]:
     try:
-        numbers = [float(each) for each in rest.split()]
+        numbers = [number_in(each) for each in rest.split()]
     except ValueError:
         numbers = []
     if len(numbers) not in (3, 4, 6, 7):  # with a weight, a colour, or both
@@ -159,7 +160,7 @@ def _vertex(rest: str) -> list[float]:
 def _polygon(rest: str, count: int) -> list[int]:
     """Vertex numbers from 0 of a polygon after so many vertices."""
     try:
-        numbers = [int(each) for each in _FURTHER.sub("", rest).split()]
+        numbers = [whole_number_in(each) for each in _FURTHER.sub("", rest).split()]
     except ValueError:
         numbers = []
     if len(numbers) < 3 or 0 in numbers:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.text_numbers import number_in, whole_number_in
 from meshes.base.visible_text import visible
 
 __all__ = ["StoredMesh", "part_name", "read_msh"]
@@ -69,7 +70,10 @@ def read_msh(file: Path) -> StoredMesh:
         raise InputError(f"file must be Gmsh text of version 1 or 2, got neither in {file.name}: export it again")
     try:
         numbers, points = _nodes(_section(lines, "$NOD" if version == 1 else "$Nodes"))
-        elements = [[int(x) for x in line.split()] for line in _section(lines, "$ELM" if version == 1 else "$Elements")]
+        elements = [
+            [whole_number_in(x) for x in line.split()]
+            for line in _section(lines, "$ELM" if version == 1 else "$Elements")
+        ]
         # Version 1: number kind physical elementary count nodes; version 2: number kind count-of-tags tags nodes.
         begins = [5 if version == 1 else 3 + element[2] for element in elements]
         in_tets = [element for element in elements if element[1] == _TETRAHEDRON]
@@ -101,7 +105,7 @@ def read_msh(file: Path) -> StoredMesh:
 def _section(lines: list[str], opening: str) -> list[str]:
     """Lines of a section after its count, as many as the count states."""
     start = lines.index(opening)
-    count = int(lines[start + 1])
+    count = whole_number_in(lines[start + 1])
     body = lines[start + 2 : start + 2 + count]
     if len(body) < count or any(line.startswith("$") for line in body):
         raise ValueError(opening)
@@ -112,10 +116,10 @@ def _nodes(lines: list[str]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     rows = [line.split() for line in lines]
     if not rows or any(len(row) < 4 for row in rows):
         raise ValueError("nodes")
-    numbers = np.array([int(row[0]) for row in rows], dtype=np.int64)
+    numbers = np.array([whole_number_in(row[0]) for row in rows], dtype=np.int64)
     if len(np.unique(numbers)) != len(numbers):
         raise ValueError("nodes of one number")
-    return numbers, np.array([[float(x) for x in row[1:4]] for row in rows])
+    return numbers, np.array([[number_in(x) for x in row[1:4]] for row in rows])
 
 
 def _of_kind(elements: list[list[int]], begins: list[int], kind: int, corners: int) -> NDArray[np.int64]:
@@ -130,10 +134,12 @@ def _names(lines: list[str], file: Path) -> dict[int, str]:
     names: dict[int, str] = {}
     for line in lines:
         dimension, number, name = line.split(maxsplit=2)
-        if int(dimension) != 3:
+        if whole_number_in(dimension) != 3:
             continue
         name = name.strip().removeprefix('"').removesuffix('"')
-        names[int(number)] = part_name(name, names, f"physical volumes of {file.name}", "name them otherwise in Gmsh")
+        names[whole_number_in(number)] = part_name(
+            name, names, f"physical volumes of {file.name}", "name them otherwise in Gmsh"
+        )
     return names
 
 

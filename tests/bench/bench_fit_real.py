@@ -1,27 +1,20 @@
 """Constants fitted to one half of a real log predict the other half.
 
-`python tests/bench/bench_fit_real.py milling --data ForceCalculation [--figure FILE.png]` after `git clone
-https://github.com/leekunhwee/ForceCalculation`, and `needle --data dataset_lib` after `git clone
-https://github.com/amartsop/dataset_lib`. Neither repository states a licence: files are read where they are, and nothing
-of them is here.
+`python tests/bench/bench_fit_real.py --data ForceCalculation [--figure FILE.png]` after `git clone
+https://github.com/leekunhwee/ForceCalculation`. The repository states no licence: files are read where they are, and
+none of them is copied here.
 
-milling: slots 25 mm wide and 3 mm deep in a metal, by a flat end mill with two teeth at 6000 rpm and five feeds, 1 s of
+Slots 25 mm wide and 3 mm deep in a metal, by a flat end mill with two teeth at 6000 rpm and five feeds, 1 s of
 each, forces by a dynamometer at 10 kHz (folder `General/Flat end milling`). Not bone, and so a test of the fit alone: the
 scene is a block that a cylinder cuts, coefficients have the wide priors of a light alloy, poses follow from the stated
 feeds, axes are those that the author uses. Some feeds are fitted. Printed of the others: mean forces, predicted with 90 %
 intervals; their error, that of straight lines through the fitted means (the law is linear in the feed, and can do no
 more), that of the priors' medians; and the scatter of means over a revolution, which is what the same cut repeats to.
-
-needle: force over depth of one insertion of an 18 gauge needle into a bovine organ (liver and heart by the repository's
-description, from Okamura et al. 2004) at 3 mm/s, 371 points that seem read off a plot (`include/axial_force_dataset/share/Data0`). The
-first half of the depth is fitted, with ranges wider than the cited ones, and the second predicted. There is one sample,
-and so no scatter between samples.
 """
 
 import argparse
 import os
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -49,13 +42,6 @@ PRIORS = {
     "radial_edge_N_mm": (15.0, 3.0, 60.0), "axial_edge_N_mm": (10.0, 1.0, 50.0),
 }  # fmt: skip
 """Light alloys and soft steels lie within (Altintas 2012, Manufacturing Automation, table 2.1, from memory)."""
-HALF_MM, NEEDLE_MM_S, STEP_S, QUIET_N = 24.0, 3.0, 0.01, 0.01
-"""Half of the depth, feed, time between samples, and the median over a millimetre below which nothing is touched yet."""
-LIVER = {
-    "linear_N_mm": (0.048, 0.012, 0.19), "quadratic_N_mm2": (0.0052, 0.0013, 0.021), "cutting_N": (0.3, 0.075, 1.2),
-    "capsule_puncture_N": (1.2, 0.4, 3.6), "capsule_hold_N": (0.3, 0.075, 1.2), "sliding_in_N_m": (10.6, 3.5, 32.0),
-}  # fmt: skip
-"""About the cited stiffness and friction; forces below the cited ones, by the first half."""
 STEP = 1e-4
 """Step over which the forces are differenced."""
 
@@ -141,46 +127,6 @@ def stated(material: str, ranges: dict[str, tuple[float, float, float]]) -> str:
     )
 
 
-def needle(data: Path, figure: Path | None) -> None:
-    """Fit the first half of the depth, predict the second, print."""
-    table = np.loadtxt(data / "include/axial_force_dataset/share/Data0/depth_force.csv", delimiter=",")
-    table = table[np.argsort(table[:, 0], kind="stable")]
-    millimetre = (1e3 * table[:, 0]).astype(int)
-    quiet = [at for at in range(int(HALF_MM)) if np.median(table[millimetre == at, 1]) < QUIET_N]
-    surface = quiet[-1] + 1.0
-    times = np.arange(0.0, 2.0 * HALF_MM / NEEDLE_MM_S, STEP_S)
-    depth = NEEDLE_MM_S * times
-    force = np.interp(depth, 1e3 * table[:, 0], table[:, 1])
-    half = depth < HALF_MM
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "own.toml").write_text(stated("needle.liver", LIVER))
-        log = np.column_stack([times, 0.0 * times, 0.0 * times, surface - depth, force])[half]
-        names = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,force_z_N"
-        np.savetxt(folder / "log.csv", log, fmt="%.7g", delimiter=",", header=names, comments="")
-        scene = tissue.load_scene("needle", {"materials": str(folder / "own.toml")})
-        fit = tissue.fit(scene, folder / "log.csv")
-    posterior = fit.fitted.posterior
-    steps = np.arange(0.0, times[-1], 4e-3)
-    forward = replace(posterior.target.forward, times_s=steps, travel_m=1e-3 * (NEEDLE_MM_S * steps - surface))
-    loads = forward.loads(posterior.target.x(posterior.mean_z))[:, 0] + posterior.nuisances.bias[0]
-    predicted_N = np.interp(times, steps, loads)
-    print(f"surface {surface:.0f} mm below the start")
-    print(fit.to_pandas()[["cited", "p05", "p50", "p95", "state"]].to_string(float_format="%.3g"))
-    print("\n".join(fit.fitted.sentences))
-    for label, part in (("fitted", half), ("predicted", ~half)):
-        off, size = (np.sqrt(np.mean(each[part] ** 2)) for each in (predicted_N - force, force))
-        print(f"{label} half: off {off:.3f} N, {off / size:.0%} of the force (root mean square)")
-    if figure:
-        panel = plots().subplots(figsize=(7, 4))[1]
-        panel.plot(depth, force, lw=1, label="measured")
-        panel.plot(depth[half], predicted_N[half], lw=1, label="fitted")
-        panel.plot(depth[~half], predicted_N[~half], "--", lw=1, label="predicted")
-        panel.set(xlabel="depth [mm]", ylabel="force [N]")
-        panel.legend()
-        panel.figure.savefig(figure, dpi=110)
-
-
 def milling(data: Path, figure: Path | None) -> None:
     """Fit some feeds, predict the others, print."""
     turns = np.array([forces(data, feed).reshape(-1, REVOLUTION, 3).mean(axis=1) for feed in FEEDS])
@@ -215,13 +161,12 @@ def milling(data: Path, figure: Path | None) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", choices=["milling", "needle"])
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--figure", type=Path)
     options = parser.parse_args()
     if not options.data.is_dir():
         parser.exit(0, f"skipped: no folder {options.data}; see above for where the logs are\n")
-    {"milling": milling, "needle": needle}[options.kind](options.data, options.figure)
+    milling(options.data, options.figure)
 
 
 if __name__ == "__main__":

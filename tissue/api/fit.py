@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from meshes.base.errors import InputError
 from tissue.api.progress import Bar, reporting
-from tissue.fitting.fit import SceneFit, fit_device, fit_scene
+from tissue.fitting.fit import SceneFit, fit_scene
 from tissue.fitting.fit_files import verdicts, write_fit
 from tissue.fitting.log import read_log
 from tissue.scene.scene import Scene
@@ -64,14 +63,12 @@ class Fit:
 
 
 def fit(
-    scene: Scene | str,
+    scene: Scene,
     measured: str | Path,
     /,
     *,
     free: Sequence[str] = (),
-    held: str | Path | None = None,
     columns: Sequence[str] | Mapping[str, str] = (),
-    nuts: bool = False,
     cores: int | None = None,
     progress: Bar = None,
 ) -> Fit:
@@ -80,19 +77,13 @@ def fit(
     Parameters
     ----------
     scene
-        What was cut or pressed, and by which tool. The log's poses, in the scene's frame, stand for its motion. Of a
-        device its name: ``device:touch``.
+        What was cut or pressed, and by which tool. The log's poses, in the scene's frame, stand for its motion.
     measured
         CSV, Parquet, HDF5, .mat or .npz file; a run's own trace needs no columns.
     free
         Constants to find, such as ``cutting.trabecular`` or ``cutting.edge``; by default the usual ones.
-    held
-        Of a device, whose `measured` log is of it free: one of it held, with the force on its tip.
     columns
         Columns of other names or units: ``{"force_x_N": "-Fx:mN"}``.
-    nuts
-        Draw from the posterior by the No-U-Turn sampler, where a normal law about its maximum may not do; takes minutes
-        and the extra ``perception``.
     cores
         Processor cores to use; default all.
     progress
@@ -106,12 +97,5 @@ def fit(
     maps = [f"{name}={column}" for name, column in columns.items()] if isinstance(columns, Mapping) else list(columns)
     with reporting(progress) as report:
         report("reading the log", 0.0)
-        if isinstance(scene, str):
-            if free:
-                raise InputError("free must be left out for a device, whose three constants are all free")
-            name, second = scene.removeprefix("device:"), None if held is None else Path(held)
-            return Fit(fit_device(name, Path(measured), second, maps, nuts=nuts, progress=report))
-        if held is not None:
-            raise InputError("held must be left out for a scene: it is the second log of a device, device:touch")
         log = read_log(Path(measured), maps)
-        return Fit(fit_scene(scene, log, free=free, nuts=nuts, cores=cores, progress=report))
+        return Fit(fit_scene(scene, log, free=free, cores=cores, progress=report))

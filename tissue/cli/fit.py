@@ -15,26 +15,21 @@ def fit(
     /,
     *,
     measured: Path,
-    held: Path | None = None,
     out: Path | None = None,
     free: str = "",
     column: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
-    nuts: Annotated[bool, Parameter(negative="")] = False,
     cores: Annotated[int | None, Parameter(converter=whole)] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
-    """Find the constants of a scene's material, or of a device, from a measured force log.
+    """Find the constants of a scene's material from a measured force log.
 
     Parameters
     ----------
     scene
-        Name of a scene or a TOML file: what was cut or pressed, and by which tool. Of a device device:NAME.
+        Name of a scene or a TOML file: what was cut or pressed, and by which tool.
     measured
-        Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, a run's own trace among them. Of a device one of it
-        free, moved by its motors.
-    held
-        Of a device: a log of it held, with the measured force on its tip.
+        Log of poses and forces: .csv, .parquet, .h5, .mat or .npz, a run's own trace among them.
     out
         Folder to write; default fits/NAME.
     free
@@ -43,33 +38,26 @@ def fit(
         NAME=COLUMN[:UNIT], where the log has another name or unit, such as force_x_N=-Fx:mN; may be repeated.
     set_
         KEY=VALUE, replaces an entry of the scene; may be repeated.
-    nuts
-        Draw from the posterior by NUTS too, where a normal law about its maximum may not do; takes minutes.
     cores
         Processor cores to use; default all.
     overwrite
         Replace another fit in the folder.
     """
-    from meshes.base.errors import InputError
     from tissue.api.fit import fit as fit_api
     from tissue.fitting.fit_files import FILES
     from tissue.scene.load import load_scene, parse_override
     from tissue.system.outputs import prepare_folder
 
     overrides = dict(parse_override(text) for text in set_)
-    of_device = scene.startswith("device:")
-    if of_device and overrides:
-        raise InputError("--set must be left out for a device, which has no scene")
-    subject = scene if of_device else load_scene(scene, overrides)
-    folder = out or Path("fits") / (subject.removeprefix("device:") if isinstance(subject, str) else subject.name)
+    subject = load_scene(scene, overrides)
+    folder = out or Path("fits") / subject.name
     prepare_folder(folder, FILES, "fit", overwrite=overwrite)
     chosen = [name.strip() for name in free.split(",") if name.strip()]
     with progress() as report:
-        found = fit_api(
-            subject, measured, free=chosen, held=held, columns=column, nuts=nuts, cores=cores, progress=report
-        )
+        found = fit_api(subject, measured, free=chosen, columns=column, cores=cores, progress=report)
         found.save(folder, overwrite=overwrite)
     for sentence in (*found.verdicts, *found.fitted.sentences):
         console.print(sentence)
-    then = f"wall --set device={scene.removeprefix('device:')}" if of_device else scene
-    console.print(f"files in {folder}; next: tissue run {then} --set materials={folder / 'fitted.toml'}")
+    changes = [f"materials={folder / 'fitted.toml'}"] if found.fitted.of_material else []
+    changes += [f"{name}={value:.4g}" for name, value in found.fitted.scene_keys.items()]
+    console.print(f"files in {folder}; next: tissue run {scene} {' '.join(f'--set {each}' for each in changes)}")

@@ -8,6 +8,7 @@ from cyclopts import CoercionError, Token
 from rich.console import Console
 
 from meshes.base.progress import Progress
+from meshes.base.text_numbers import whole_number_in
 from meshes.base.visible_text import visible
 from tissue.api.progress import terminal_bar
 
@@ -32,7 +33,7 @@ problems = _Terminal(stderr=True, emoji=False, markup=False)
 def whole(_: object, tokens: Sequence[Token]) -> int:
     """A whole number from the command line, which would otherwise be rounded to one."""
     try:
-        return int(tokens[0].value)
+        return whole_number_in(tokens[0].value)
     except ValueError:
         raise CoercionError(token=tokens[0], target_type=int) from None
 

@@ -15,8 +15,6 @@ __all__ = ["FittedConstant", "draw_constants", "draw_measured", "draw_residuals"
 Array = NDArray[np.float64]
 
 MEASURED, SIMULATED, PRIOR = "0.55", "#0072B2", "0.75"
-LAPLACE, BELOW = "#D55E00", 0.24
-"""Colour of the normal law's interval, and how far below that of the draws it is [rows]."""
 ROW, FRAME = 0.44, 1.0
 """Height of a constant's row, and of what is around the rows [in]."""
 
@@ -33,12 +31,10 @@ class FittedConstant:
         Its unit.
     cited, fitted
         Median and the ends of the 90 % interval, (low, value, high), before and after.
-    fitted_z
-        The fitted three in standard deviations of the prior.
+    fitted_z, cited_z
+        The fitted three, and the ends of the cited range, in standard deviations of the prior.
     is_identified
         Whether the log narrows it.
-    laplace_z
-        As `fitted_z`, of the normal law about the maximum, where that is of draws.
     """
 
     label: str
@@ -46,12 +42,12 @@ class FittedConstant:
     cited: tuple[float, float, float]
     fitted: tuple[float, float, float]
     fitted_z: tuple[float, float, float]
+    cited_z: tuple[float, float]
     is_identified: bool
-    laplace_z: tuple[float, ...] | None = None
 
 
 def draw_measured(times_s: Array, measured: Array, simulated: Array, channels: Sequence[str], path: Path) -> None:
-    """Draw measured and simulated loads over time, forces, torques and a hand's apart, and below each what is left.
+    """Draw measured and simulated loads over time, forces and torques apart, and below each what is left.
 
     Parameters
     ----------
@@ -129,13 +125,12 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
     axes = chart.subplots()
     chart.subplots_adjust(left=0.34, right=0.7, top=1.0 - 0.4 / height, bottom=0.55 / height)
     for row, one in enumerate(constants):
-        axes.barh(row, 3.29, left=-1.645, height=0.7, color=PRIOR, linewidth=0.0)
+        least, most = one.cited_z
+        axes.barh(row, most - least, left=least, height=0.7, color=PRIOR, linewidth=0.0)
         low, middle, high = one.fitted_z
         colour = SIMULATED if one.is_identified else "0.45"
         axes.plot([low, high], [row, row], color=colour, linewidth=3.2, solid_capstyle="butt")
         axes.plot(middle, row, "o", color=colour, markersize=5.0)
-        if one.laplace_z is not None:
-            axes.plot(one.laplace_z, [row + BELOW] * 3, "|-", color=LAPLACE, linewidth=1.2, markersize=7.0)
         cited, found = (f"{value:.3g} ({least:.3g} to {most:.3g})" for least, value, most in (one.cited, one.fitted))
         across = axes.get_yaxis_transform()
         result = f"{found} {one.unit}" if one.is_identified else "not narrowed by this log"
@@ -144,11 +139,8 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
             1.03, row + 0.22, f"cited {cited} {one.unit}", transform=across, va="center", fontsize=7.5, color="0.45"
         )
     axes.barh(0, 0, color=PRIOR, label="cited")
-    is_drawn = any(one.laplace_z is not None for one in constants)
-    axes.plot([], [], "o-", color=SIMULATED, linewidth=3.2, label="fitted, by draws" if is_drawn else "fitted")
-    if is_drawn:
-        axes.plot([], [], "|-", color=LAPLACE, linewidth=1.2, markersize=7.0, label="fitted, normal law")
-    axes.legend(frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    axes.plot([], [], "o-", color=SIMULATED, linewidth=3.2, label="fitted")
+    axes.legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     axes.set_yticks(range(len(constants)), [one.label for one in constants])
     axes.set_ylim(len(constants) - 0.4, -0.6)
     axes.set_xlim(*_ends(constants))
@@ -158,7 +150,7 @@ def draw_constants(constants: Sequence[FittedConstant], path: Path) -> None:
 
 
 def _ends(constants: Sequence[FittedConstant]) -> tuple[float, float]:
-    reach = [2.2, *(abs(z) for one in constants for z in (*one.fitted_z, *(one.laplace_z or ())))]
+    reach = [2.2, *(abs(z) for one in constants for z in one.fitted_z)]
     return -1.05 * max(reach), 1.05 * max(reach)
 
 

@@ -89,7 +89,9 @@ def free_constants(
         If a name fits no constant that can be free.
     """
     possible = [
-        FreeConstant(Parameter(f"cutting.{each.name}.{name}", Prior.of(each.constants[name], name)), each.layer, *field)
+        FreeConstant(
+            Parameter.of(f"cutting.{each.name}.{name}", Prior.of(each.constants[name], name)), each.layer, *field
+        )
         for each in layers
         for name, field in FIELDS.items()
         if each.constants[name].low < each.constants[name].high

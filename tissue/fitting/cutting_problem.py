@@ -9,6 +9,7 @@ from tissue.fitting.cutting import cutting_forward
 from tissue.fitting.cutting_candidates import cutting_candidates
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.problem import Problem
+from tissue.fitting.signs import require_signs
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 
@@ -30,6 +31,7 @@ def cutting_problem(
     ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
     forward, measured = forward.averaged_as(measured)
+    require_signs(forward, measured)
     layers = {each.name.split(".")[1] for each in forward.parameters if each.name.startswith("cutting.")}
     constants = {layer: scene.constants.layer_constants(layer, bone=scene.cutting.material) for layer in sorted(layers)}
     return Problem(

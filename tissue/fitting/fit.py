@@ -1,44 +1,40 @@
 """Constants of a scene from a measured force log."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.fitting import needle_walls, organ_constants
+from tissue.fitting import organ_constants
 from tissue.fitting.cutting_problem import cutting_problem
-from tissue.fitting.device_problem import device_problem
-from tissue.fitting.drawn_information import drawn_information
 from tissue.fitting.experiments import Gain, expected_information
 from tissue.fitting.identifiability import Identified, identified
 from tissue.fitting.log import MeasuredLog
-from tissue.fitting.needle_problem import needle_problem
-from tissue.fitting.nuts import Draws, draw_by_nuts, require_nuts
 from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.posterior import Posterior, maximum_posterior
-from tissue.fitting.problem import Problem
 from tissue.fitting.target import OFFSET_S
 from tissue.materials.prior import Prior
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 
-__all__ = ["ConstantFit", "SceneFit", "fit_device", "fit_scene"]
+__all__ = ["ConstantFit", "SceneFit", "fit_scene"]
 
 PROBLEMS = {
     "tissue.builders.cutting:milled": cutting_problem,
-    "tissue.builders.organ_scene:pierced": needle_problem,
     "tissue.builders.organ_scene:pressed": organ_problem,
 }
 """What a log of a scene is compared with, by what builds its tissue."""
-FITTED = "fit a scene of bone, a tooth, an organ or a needle"
-NUISANCES = ("density.", "motors.", organ_constants.KEYS, needle_walls.KEYS)
+FITTED = "fit a scene of bone, a tooth or an organ"
+NUISANCES = ("density.", organ_constants.KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
+FAR = 3.0
+"""Standard deviations of a prior beyond which a value contradicts it: 0.3 % of constants lie there by chance."""
 VISIBLE = 20.0
 """Force over the noise's scale from which noise is not why a log determines nothing."""
-SEED = 0
-"""Of the draws: a log has the same fit each time."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +46,16 @@ class ConstantFit:
     name
         ``TABLE.MATERIAL.NAME``, or ``density.LAYER``, the factor on the density of a layer of this specimen.
     prior
-        Before.
+        Cited median and range.
     low, value, high
         5, 50 and 95 % after, in the unit of the name.
+    z
+        The three, and the ends of the cited range, in standard deviations of the prior, shape (5,).
     contraction
         Standard deviation after over that before.
     state
-        ``determined``, ``narrowed``, or ``at its prior``.
-    laplace
-        5, 50 and 95 % of Laplace's approximation, where the three above are those of draws; else None.
+        ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``: far outside its cited range, or found with
+        clocks that contradict their prior.
     """
 
     name: str
@@ -66,9 +63,14 @@ class ConstantFit:
     low: float
     value: float
     high: float
+    z: tuple[float, ...]
     contraction: float
     state: str
-    laplace: tuple[float, float, float] | None
+
+    @property
+    def is_far(self) -> bool:
+        """Whether the value lies far outside the cited range."""
+        return abs(self.z[1]) > FAR
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +80,7 @@ class SceneFit:
     Attributes
     ----------
     name
-        Of the scene or the device.
+        Of the scene.
     path
         File of what was measured.
     posterior
@@ -91,8 +93,6 @@ class SceneFit:
         Time over which samples were averaged [s].
     notes
         What was found or assumed, in sentences.
-    draws
-        Draws of the posterior, shape (chains, draws, size), where it was sampled.
     fixed
         Constants on which the free ones rest, by their names.
     """
@@ -104,26 +104,59 @@ class SceneFit:
     gains: tuple[Gain, ...]
     block_s: float
     notes: tuple[str, ...]
-    draws: Draws | None
     fixed: Mapping[str, float]
 
     @property
     def constants(self) -> tuple[ConstantFit, ...]:
         """All free constants, in the order of the forward model."""
         found = []
-        for at, (name, prior) in enumerate(zip(self.posterior.names, self.posterior.priors, strict=True)):
-            laplace = self.posterior.interval(at)
-            drawn = None if self.draws is None else prior.x(self.draws.quantiles(at)).tolist()
-            low, value, high = drawn or laplace
-            state = (
-                "determined"
-                if name in self.identified.determined
-                else "at its prior"
-                if name in self.identified.at_prior
-                else "narrowed"
-            )
+        for at, parameter in enumerate(self.posterior.target.forward.parameters):
+            low, value, high = self.posterior.interval(at)
+            cited = parameter.cited or parameter.prior
+            z = parameter.prior.z([low, value, high, cited.low, cited.high]).tolist()
             share = float(self.identified.contraction[at])
-            found.append(ConstantFit(name, prior, low, value, high, share, state, laplace if drawn else None))
+            each = ConstantFit(parameter.name, cited, low, value, high, tuple(z), share, self._state(parameter.name))
+            is_doubtful = each.is_far or (each.state == "determined" and self.has_strange_clocks)
+            found.append(replace(each, state="doubtful") if is_doubtful else each)
+        return tuple(found)
+
+    def _state(self, name: str) -> str:
+        """What the log says of a constant, whether or not that agrees with its cited range."""
+        if name in self.identified.determined:
+            return "determined"
+        return "at its prior" if name in self.identified.at_prior else "narrowed"
+
+    @property
+    def offset_sd(self) -> float:
+        """Offset of the clocks in standard deviations of its prior."""
+        return self.posterior.nuisances.offset_s / OFFSET_S
+
+    @property
+    def has_strange_clocks(self) -> bool:
+        """Whether the offset of the clocks contradicts its prior."""
+        return abs(self.offset_sd) > FAR
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences on what contradicts the priors."""
+        found = []
+        if self.has_strange_clocks:
+            found.append(
+                f"the forces come {1e3 * self.posterior.nuisances.offset_s:.3g} ms after the poses, "
+                f"{abs(self.offset_sd):.1f} standard deviations of the {1e3 * OFFSET_S:g} ms that are expected. No "
+                "constant counts as determined. Check the times of poses and forces, and the place where the tool "
+                "touches"
+            )
+        for each in self.constants:
+            if each.is_far:
+                end, side = (each.prior.low, "below") if each.z[1] < 0.0 else (each.prior.high, "above")
+                times = max(each.value, end) / min(each.value, end) if min(each.value, end) > 0.0 else np.inf
+                by = f"{times:.3g} times {side}" if np.isfinite(times) else side
+                found.append(
+                    f"{each.name} = {each.value:.3g} is {by} its range of {each.prior.low:g} to {each.prior.high:g} "
+                    f"({abs(each.z[1]):.1f} standard deviations of the prior) and does not count as determined. Check "
+                    "the units and signs of the log, the scene and the tool"
+                )
         return tuple(found)
 
     @property
@@ -132,12 +165,14 @@ class SceneFit:
         return tuple(at for at, name in enumerate(self.posterior.names) if not name.startswith(NUISANCES))
 
     @property
+    def scene_keys(self) -> dict[str, float]:
+        """Medians of the fitted keys of the scene, which are no constants of a material."""
+        return {each.name: each.value for each in self.constants if each.name.startswith(organ_constants.KEYS)}
+
+    @property
     def offset_interval_s(self) -> tuple[float, float]:
         """90 % interval of the offset of the clocks [s]."""
-        if self.draws is None:
-            return self.posterior.offset_interval_s
-        low, _, high = (OFFSET_S * self.draws.quantiles(len(self.posterior.names))).tolist()
-        return low, high
+        return self.posterior.offset_interval_s
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -155,8 +190,6 @@ class SceneFit:
         ]
         if not self.posterior.converged:
             found.append("the search did not come to a maximum: the intervals are not to be trusted")
-        if self.draws is not None:
-            found += [self.draws.sentence, *self.draws.warnings]
         return tuple(found)
 
 
@@ -165,7 +198,6 @@ def fit_scene(
     log: MeasuredLog,
     *,
     free: Sequence[str] = (),
-    nuts: bool = False,
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> SceneFit:
@@ -182,8 +214,6 @@ def fit_scene(
         What was measured, in the scene's frame.
     free
         Constants that are free, see `tissue.fitting.cutting_parameters.free_constants`; nothing frees the usual ones.
-    nuts
-        Draw from the posterior; without, it is a normal law about its maximum.
     cores
         Processor cores to use; default all.
     progress
@@ -192,53 +222,22 @@ def fit_scene(
     Raises
     ------
     InputError
-        If such a scene cannot be fitted, the tool never cuts along the log, the log determines no constant, or there is
-        no NumPyro to draw with.
+        If such a scene cannot be fitted, the tool never cuts along the log, or the log determines no constant.
     """
     report = progress or silent
-    if nuts:
-        require_nuts()
     build = ANATOMIES[scene.anatomy.kind].build
     if build not in PROBLEMS:
         raise InputError(f"scene must be one of tissue, got a {scene.anatomy.kind}: {FITTED}")
     problem = PROBLEMS[build](scene, log, free, cores=cores, progress=report)
-    return _fitted(scene.name, log.path, problem, log.notes, report, nuts=nuts)
-
-
-def fit_device(
-    device: str,
-    free: Path,
-    held: Path | None,
-    columns: Sequence[str] = (),
-    *,
-    nuts: bool = False,
-    progress: Progress | None = None,
-) -> SceneFit:
-    """Fit mass, damping and friction of a device to logs of it, see `tissue.fitting.device_problem.device_problem`."""
-    report = progress or silent
-    if nuts:
-        require_nuts()
-    return _fitted(device, free, device_problem(device, free, held, tuple(columns)), (), report, nuts=nuts)
-
-
-def _fitted(
-    name: str, path: Path, problem: Problem, notes: tuple[str, ...], report: Progress, *, nuts: bool
-) -> SceneFit:
-    """The fit of a problem, and what it determines."""
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
     found = identified(posterior)
     require_information(found, posterior)
-    draws = None
-    if nuts:
-        report("drawing by NUTS, which takes minutes", 0.82)
-        draws = draw_by_nuts(posterior.target, posterior.maximum, posterior.covariance, seed=SEED)
-        found = drawn_information(found, posterior, draws)
     report("what to measure next", 0.9)
     material = [at for at, each in enumerate(posterior.names) if not each.startswith(NUISANCES)]
     gains = expected_information(posterior, problem.candidates(posterior), among=material)
-    both = (*notes, *problem.notes)
-    return SceneFit(name, path, posterior, found, tuple(gains), problem.block_s, both, draws, problem.fixed)
+    both = (*log.notes, *problem.notes)
+    return SceneFit(scene.name, log.path, posterior, found, tuple(gains), problem.block_s, both, problem.fixed)
 
 
 def require_information(found: Identified, posterior: Posterior) -> None:

@@ -12,7 +12,6 @@ from meshes.base.arrays import Array
 from meshes.base.file_version import package_version
 from meshes.base.whole_file import whole_file
 from tissue.figures.fit import FittedConstant, draw_constants, draw_measured, draw_residuals
-from tissue.fitting.draws_file import draws_numbers, write_draws
 from tissue.fitting.fit import ConstantFit, SceneFit
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.system.html import html_page, html_picture
@@ -28,9 +27,8 @@ FILES = (
     "measured.png",
     "residuals.png",
     "constants.png",
-    "draws.csv",
 )
-UNITS = ("N_mm2", "N_mm", "N_m", "N_s_m", "kPa", "N_s_m2", "kg", "N", "s", "mm_s", "GPa")
+UNITS = ("N_mm2", "N_mm", "kPa", "s")
 LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn."""
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
@@ -70,15 +68,11 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
     for at, name in enumerate(log.channels):
         columns |= {f"measured_{name}": log.values[:, at], f"simulated_{name}": posterior.simulated[:, at]}
     write_columns(folder / "loads.csv", columns)
-    if fit.draws is None:
-        (folder / "draws.csv").unlink(missing_ok=True)
-    else:
-        write_draws(fit.draws, posterior.target, folder / "draws.csv")
     with whole_file(folder / "fit.json") as temporary:
         temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
     with whole_file(folder / "report.html") as temporary:
         temporary.write_text(_page(fit, folder), "utf-8")
-    return [folder / name for name in FILES if (folder / name).exists()]
+    return [folder / name for name in FILES]
 
 
 def unit_of(name: str) -> tuple[str, str]:
@@ -86,7 +80,7 @@ def unit_of(name: str) -> tuple[str, str]:
     last = name.rpartition(".")[2]
     unit = next((each for each in UNITS if last.endswith(f"_{each}")), "")
     words = name.removesuffix(f"_{unit}").removeprefix("cutting.").replace(".", " ").replace("_", " ")
-    marks = {"N_mm2": "N/mm²", "N_mm": "N/mm", "N_m": "N/m", "N_s_m": "N s/m", "N_s_m2": "N s/m²", "mm_s": "mm/s"}
+    marks = {"N_mm2": "N/mm²", "N_mm": "N/mm"}
     return words, marks.get(unit, unit)
 
 
@@ -97,15 +91,19 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
     entries: list[FittedEntry] = []
     for at in fit.of_material:
         each = all_constants[at]
-        how = {"determined": "M", "narrowed": "L", "at its prior": "L"}[each.state]
-        text = source if each.state != "at its prior" else f"{source}, which does not narrow the cited range"
+        how = "M" if each.state == "determined" else "L"
+        reservation = {
+            "at its prior": ", which does not narrow the cited range",
+            "doubtful": ", doubtful: it contradicts the cited range or the clocks of the log",
+        }
+        text = source + reservation.get(each.state, "")
         entries.append(FittedEntry(each.name, each.value, each.low, each.high, text, how))
     text = "the density at which the fitted coefficients are stated"
     fixed = [FittedEntry(name, value, value, value, text, "H") for name, value in fit.fixed.items()]
-    places = np.array(fit.of_material)
+    places = np.array(fit.of_material, dtype=np.int64)
     covariance = posterior.covariance_z[np.ix_(places, places)]
     spread = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(spread, spread) if fit.draws is None else fit.draws.correlation(places)
+    correlation = covariance / np.outer(spread, spread)
     remark = (
         f'Constants fitted by tissue {package_version()}; a scene takes them by: materials = "{path.name}"',
         "value: median; range: 5 and 95 % of the posterior; correlation: of the standard normal numbers of each.",
@@ -115,11 +113,12 @@ def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
 
 def _shown(each: ConstantFit) -> FittedConstant:
     label, unit = unit_of(each.name)
+    label = f"{label} (doubtful)" if each.state == "doubtful" else label
     fitted = (each.low, each.value, each.high)
-    low, middle, high = (float(each.prior.z(value)) for value in fitted)
+    low, middle, high, *ends = each.z
     cited = (each.prior.low, each.prior.value, each.prior.high)
-    laplace_z = None if each.laplace is None else tuple(each.prior.z(each.laplace).tolist())
-    return FittedConstant(label, unit, cited, fitted, (low, middle, high), each.state != "at its prior", laplace_z)
+    is_narrowed = each.state != "at its prior"
+    return FittedConstant(label, unit, cited, fitted, (low, middle, high), (ends[0], ends[1]), is_narrowed)
 
 
 def _autocorrelation(values: Array) -> Array:
@@ -149,11 +148,12 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
         "scene": fit.name,
         "measured": {"file": fit.path.name, "sha256": digest, "block_s": fit.block_s},
         "converged": fit.posterior.converged,
+        "doubts": list(fit.doubts),
         "constants": [
             {
                 "name": one.name, "p05": one.low, "p50": one.value, "p95": one.high, "contraction": one.contraction,
                 "state": one.state, "prior": [one.prior.low, one.prior.value, one.prior.high],
-                **({} if one.laplace is None else {"laplace": one.laplace}),
+                "standard_deviations_from_prior": one.z[1],
             }
             for one in fit.constants
         ],
@@ -171,14 +171,16 @@ def _numbers(fit: SceneFit, digest: str) -> dict[str, object]:
         "noise_scale": each.scale.tolist(),
         "noise_correlation": each.correlation.tolist(),
         "noise_freedom": each.freedom.tolist(),
-        **({} if fit.draws is None else {"nuts": draws_numbers(fit.draws, fit.posterior.target)}),
         "notes": list(fit.sentences),
     }  # fmt: skip
 
 
 def verdicts(fit: SceneFit) -> list[str]:
-    """What the log determines, in sentences: determined constants, combinations, what stays at its prior, what next."""
-    found = []
+    """What the log determines, in sentences.
+
+    In this order: what contradicts the priors, determined constants, combinations, what stays at its prior, what next.
+    """
+    found = [f"doubtful: {each}" for each in fit.doubts]
     names = {each.name: " ".join(filter(None, unit_of(each.name))) for each in fit.constants}
     for each in fit.constants:
         if each.state == "determined":

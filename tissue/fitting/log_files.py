@@ -9,6 +9,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, is_file
+from meshes.base.text_numbers import require_distinct_columns
 from tissue.fitting.columns import ColumnMap, Quantity
 from tissue.fitting.log_text import read_text
 from tissue.motion.drilling_recording import read_drilling
@@ -124,13 +125,14 @@ def _mat(path: Path) -> LogColumns:
     if path.read_bytes()[:10] == b"MATLAB 7.3":
         return _structs(path)
     found = {name: value for name, value in loadmat(path, squeeze_me=True).items() if not name.startswith("__")}
-    columns: dict[str, Any] = {}
+    columns: list[tuple[str, Any]] = []
     for name, value in found.items():
         if getattr(value, "dtype", None) is not None and value.dtype.names:
-            columns |= {inner: value[inner].item() for inner in value.dtype.names}
+            columns += [(inner, value[inner].item()) for inner in value.dtype.names]
         else:
-            columns[name] = value
-    return _held(columns)
+            columns.append((name, value))
+    require_distinct_columns([name for name, _ in columns], "measured", path)
+    return _held(dict(columns))
 
 
 def _h5(path: Path) -> LogColumns:

@@ -8,6 +8,7 @@ from io import StringIO
 from pathlib import Path
 
 from meshes.base.errors import InputError, counted
+from meshes.base.text_numbers import number_in
 
 __all__ = ["TextTable", "read_text"]
 
@@ -53,7 +54,7 @@ class TextTable:
         for line, row in zip(self.lines, self.rows, strict=True):
             cell = row[place].strip()
             try:
-                numbers.append(float(cell.replace(",", ".")) if cell else float("nan"))
+                numbers.append(number_in(cell.replace(",", ".")) if cell else float("nan"))
             except ValueError:
                 raise InputError(
                     f"log must hold numbers, got {cell[:40]!r} for {name} in line {line}: {_AGAIN}"

@@ -5,6 +5,7 @@ standard normal number behind it is not. So the density of that number is found 
 over by Laplace's approximation there (Tierney and Kadane 1986).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.interpolate import PchipInterpolator
 
 from meshes.base.arrays import Array
 from tissue.fitting.noise import innovations
+from tissue.fitting.one_sided import END, PRIOR_SPREAD, log_factor
 from tissue.fitting.target import Target, Unpacked
 
 __all__ = ["Marginal", "log_density_at", "marginal"]
@@ -34,6 +36,7 @@ DAMPING, HARDER, EASIER = 0.1, 8.0, 0.2
 """Damping of a step that would lower the density, over the information of the priors, and how it grows after another
 such step and falls after a good one (Levenberg 1944)."""
 FINE = 801
+SHARES = np.array([0.05, 0.5, 0.95])
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,8 @@ class Marginal:
 def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marginal:
     """The law of a number of a fit, its noise kept.
 
+    A one-sided constant (`tissue.fitting.one_sided`) has a probability of being its cited value and a density beyond.
+
     Parameters
     ----------
     target
@@ -66,27 +71,58 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
     """
     step = FIRST_STEP * float(np.sqrt(covariance[at, at]))
     along = covariance[:, at] / covariance[at, at]
-    top = log_density_at(target, maximum, at)[0]
-    found = {float(maximum[at]): top}
+    side = float(target.sides[at]) if at < target.constants else 0.0
+    start = maximum - min(side * maximum[at], 0.0) * side * along
+    top = log_density_at(target, start, at)[0]
+    found = {float(start[at]): top}
     for sign in (-1.0, 1.0):
-        walked, last, length = [maximum - sign * step * along, maximum], top, step
+        if sign == -side and start[at] == 0.0:
+            continue
+        walked, last, length = [start - sign * step * along, start], top, step
         for _ in range(MOST_PLACES):
-            tried, place = log_density_at(target, _ahead(walked, at, walked[-1][at] + sign * length), at)
+            wanted = walked[-1][at] + sign * length
+            is_end = sign == -side and side * wanted <= 0.0
+            tried, place = log_density_at(target, _ahead(walked, at, 0.0 if is_end else wanted), at)
             if last - tried > STEEP and length > SHORTEST * step:
                 length *= SHORTER
                 continue
             found[float(place[at])] = tried
-            if tried < max(found.values()) - NEGLIGIBLE or abs(place[at]) > FARTHEST:
+            if is_end or tried < max(found.values()) - NEGLIGIBLE or abs(place[at]) > FARTHEST:
                 break
             walked, last, length = [*walked, place][-3:], tried, length * LONGER
-    places = np.array(sorted(found))
-    logarithms = np.array([found[each] for each in places.tolist()])
-    fine = np.linspace(places[0], places[-1], FINE)
-    density = np.exp(PchipInterpolator(places, logarithms - logarithms.max())(fine))
+    return _one_sided(found, side) if side else _two_sided(found)
+
+
+def _two_sided(found: Mapping[float, float]) -> Marginal:
+    """The law of a number from its log density at some places."""
+    fine, density = _fine(found)
     summed = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
     mean = float(density @ fine / density.sum())
     spread = float(np.sqrt(density @ (fine - mean) ** 2 / density.sum()))
-    return Marginal(np.interp(np.array([0.05, 0.5, 0.95]) * summed[-1], summed, fine), spread)
+    return Marginal(np.interp(SHARES * summed[-1], summed, fine), spread)
+
+
+def _one_sided(found: Mapping[float, float], side: float) -> Marginal:
+    """The law of a number that is 0 or lies on one side of it; its spread is relative to that of the prior."""
+    fine, density = _fine({side * place: logarithm for place, logarithm in found.items()})
+    end = END * float(density[0]) if fine[0] == 0.0 else 0.0
+    step = float(fine[1] - fine[0])
+    summed = end + np.concatenate([[0.0], np.cumsum(0.5 * step * (density[1:] + density[:-1]))])
+    weights = step * density
+    weights[[0, -1]] *= 0.5
+    mean = float(weights @ fine / summed[-1])
+    square = float(weights @ fine**2 / summed[-1])
+    quantiles = np.interp(SHARES * summed[-1], summed, fine)
+    spread = float(np.sqrt(square - mean**2)) / PRIOR_SPREAD
+    return Marginal(np.sort(side * quantiles), spread)
+
+
+def _fine(found: Mapping[float, float]) -> tuple[Array, Array]:
+    """Places between the first and the last one, and the density there, up to a constant, shape (FINE,) each."""
+    places = np.array(sorted(found))
+    logarithms = np.array([found[each] for each in places.tolist()])
+    fine = np.linspace(places[0], places[-1], FINE)
+    return fine, np.exp(PchipInterpolator(places, logarithms - logarithms.max())(fine))
 
 
 def _ahead(walked: list[Array], at: int, wanted: float) -> Array:
@@ -96,6 +132,7 @@ def _ahead(walked: list[Array], at: int, wanted: float) -> Array:
     for k, each in enumerate(walked):
         rest = np.delete(numbers, k)
         found += np.prod((wanted - rest) / (numbers[k] - rest)) * each
+    found[at] = wanted
     return found
 
 
@@ -129,7 +166,13 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
             damping = max(HARDER * damping, DAMPING)
     rows = target.whitened(best.sensitivities, noise)[:, others]
     curvature = rows.T @ rows + np.eye(len(others))
-    return best.log_density + 0.5 * min(gain, NEAR) - 0.5 * float(np.linalg.slogdet(curvature)[1]), best.u
+    log_density = best.log_density + 0.5 * min(gain, NEAR) - 0.5 * float(np.linalg.slogdet(curvature)[1])
+    bounded = np.flatnonzero(np.isin(others, np.flatnonzero(target.sides)))
+    if not len(bounded):
+        return log_density, best.u
+    sides = target.sides[others[bounded]]
+    covariance = np.linalg.inv(curvature)[np.ix_(bounded, bounded)] * np.outer(sides, sides)
+    return log_density + log_factor(sides * best.u[others[bounded]], covariance), best.u
 
 
 @dataclass(frozen=True)

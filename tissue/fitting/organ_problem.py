@@ -19,6 +19,7 @@ from tissue.fitting.organ_runs import OrganRuns, Poses
 from tissue.fitting.parameter import Parameter
 from tissue.fitting.posterior import Posterior, maximum_posterior
 from tissue.fitting.problem import Problem
+from tissue.fitting.signs import require_signs
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 
@@ -105,6 +106,8 @@ def settled(
     for number in range(ROUNDS):
         progress(f"round {number + 1} of runs of the organ", 0.25 * number)
         forward = _sloped(forward, runs, spread)
+        if number == 0:
+            require_signs(forward, measured)
         for tried in range(TRIES + 1):
             posterior = maximum_posterior(forward, measured)
             spread = np.sqrt(np.diag(posterior.covariance_z))

@@ -20,10 +20,27 @@ class Parameter:
         ``density.LAYER``, the factor on the density map of a layer.
     prior
         What is known of it before the log.
+    cited
+        The prior of a constant whose cited value is an end of its range, such as an axial coefficient of 0. The fit
+        uses the `mirrored` prior in its linear algebra and counts what lies beyond the end as the end itself, see
+        `tissue.fitting.one_sided`. None for a constant whose value lies inside its range.
     """
 
     name: str
     prior: Prior
+    cited: Prior | None = None
+
+    @classmethod
+    def of(cls, name: str, cited: Prior) -> "Parameter":
+        """Return the parameter of a cited constant, its value inside its range or at an end."""
+        return cls(name, cited.mirrored(), cited) if cited.is_one_sided else cls(name, cited)
+
+    @property
+    def side(self) -> float:
+        """1 where only values above the cited one are possible, -1 where only those below, 0 where both are."""
+        if self.cited is None:
+            return 0.0
+        return 1.0 if self.cited.value == self.cited.low else -1.0
 
 
 def fits(pattern: str, name: str, tags: Collection[str] = ()) -> bool:

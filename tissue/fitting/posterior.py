@@ -20,7 +20,7 @@ from tissue.fitting.restricted import Restricted
 from tissue.fitting.target import OFFSET_S, Target, Unpacked
 from tissue.materials.prior import Prior
 
-__all__ = ["Posterior", "maximum_posterior", "polished"]
+__all__ = ["Posterior", "climbed", "maximum_posterior", "starts"]
 
 OFFSETS_S = np.linspace(-3.0 * OFFSET_S, 3.0 * OFFSET_S, 25)
 """Offsets from which the search begins [s]: a force may rise at several times, so that there are several maxima."""
@@ -127,20 +127,21 @@ def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     The noise is that of the restricted likelihood, see `tissue.fitting.restricted`.
     """
     target = Target(forward, log)
-    best = max((_climbed(target, start) for start in _starts(target)), key=lambda each: each[0])
+    guesses = [u for _, u in starts(target)[:STARTS]]
+    best = max((climbed(target, guess) for guess in guesses), key=lambda each: each[0])
     for _ in range(REFINED):
         nearby = max(_shifted(target, best[1]), key=target.value)
-        climbed = _climbed(target, nearby)
-        if climbed[0] <= best[0] + STEEP:
+        higher = climbed(target, nearby)
+        if higher[0] <= best[0] + STEEP:
             break
-        best = climbed
+        best = higher
     place = best[1]
     for _ in range(RESTRICTED):
-        place = _climbed(Restricted(target, place), place)[1]
-    return Posterior(target, *polished(Restricted(target, place), place))
+        place = climbed(Restricted(target, place), place)[1]
+    return Posterior(target, *_polished(Restricted(target, place), place))
 
 
-def _climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
+def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
     """The greatest log density near a start, and its place, in coordinates in which the information there is one."""
     plain = target.target if isinstance(target, Restricted) else target
     root = np.linalg.inv(np.linalg.cholesky(plain.information(start)))
@@ -169,17 +170,16 @@ def _shifted(target: Target, u: Array) -> list[Array]:
     return places
 
 
-def _starts(target: Target) -> list[Array]:
-    """Starts at the offsets that explain the log best."""
+def starts(target: Target) -> list[tuple[float, Array]]:
+    """Log densities and places of first guesses at several offsets, the best first."""
     graded = []
     for offset_s in OFFSETS_S:
         u = target.start(float(offset_s))
         graded.append((target.value(u), u))
-    graded.sort(key=lambda each: -each[0])
-    return [u for _, u in graded[:STARTS]]
+    return sorted(graded, key=lambda each: -each[0])
 
 
-def polished(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
+def _polished(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
     """The maximum by Fisher's scoring, the inverse of the information there, and whether it was found."""
     value, gradient = target.value_and_gradient(u)
     for _ in range(SCORING_STEPS):

@@ -70,8 +70,11 @@ class Target:
         self._places = [forward.channels.index(name) for name in log.channels]
         self._sizes = log.sizes()
         self.constants = len(self._priors)
+        self.sides = np.array([each.side for each in forward.parameters])
+        """Side of each constant, shape (p,), see `tissue.fitting.parameter.Parameter.side`."""
         self.size = self.constants + 1 + 4 * len(log.channels)
         self._linearised: tuple[Array, Array, Array] | None = None
+        self._last_shift: tuple[float, tuple[csr_array, csr_array]] | None = None
 
     def unpacked(self, u: Array) -> Unpacked:
         """The numbers of a fit from its vector, shape (size,)."""
@@ -154,7 +157,11 @@ class Target:
         return found
 
     def _shifted(self, offset_s: float) -> tuple[csr_array, csr_array]:
-        return shift_operators(self.forward.times_s, self.log.times_s, offset_s, self.log.within_s)
+        """Interpolation at an offset; the last one is kept, since a search asks for loads and slopes of one place."""
+        if self._last_shift is None or self._last_shift[0] != offset_s:
+            operators = shift_operators(self.forward.times_s, self.log.times_s, offset_s, self.log.within_s)
+            self._last_shift = offset_s, operators
+        return self._last_shift[1]
 
     def value_and_gradient(self, u: Array) -> tuple[float, Array]:
         """Log density, up to a constant, and its gradient, shape (size,)."""

@@ -79,6 +79,18 @@ class Prior:
         """Whether the range is a single number, so that there is nothing to identify."""
         return self.low == self.high
 
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether the value is an end of its range."""
+        return not self.fixed and self.value in (self.low, self.high)
+
+    def mirrored(self) -> "Prior":
+        """Return the two-sided prior whose other half is that of a one-sided prior, reflected at its value."""
+        low, value, high = self._knots
+        low, high = min(low, 2.0 * value - high), max(high, 2.0 * value - low)
+        ends = self._from_y(np.array([low, high])).tolist()
+        return Prior(self.value, min(ends[0], self.low), max(ends[1], self.high), self.bounds)
+
     def x(self, z: ArrayLike) -> Array:
         """Value of the constant for standard normal numbers, of any shape."""
         return self._from_y(self._y(np.asarray(z, dtype=float)))
@@ -103,7 +115,7 @@ class Prior:
         if self.fixed:
             return np.zeros(x.shape)
         share = (self._to_y(x) - self._knots[1]) / self._span
-        if self._is_one_sided:
+        if self.is_one_sided:
             w = W_95 * np.maximum(share, 0.0)
             with np.errstate(divide="ignore"):
                 z = np.where(w > 1.0, -ndtri(erfc(w / np.sqrt(2.0))), ndtri(erf(w / np.sqrt(2.0))))
@@ -113,10 +125,6 @@ class Prior:
         with np.errstate(divide="ignore"):
             grown = np.log1p(stretched)
         return Z_95 * (share if abs(skew) < 1e-9 else grown / skew)
-
-    @property
-    def _is_one_sided(self) -> bool:
-        return self.value in (self.low, self.high)
 
     @property
     def _is_log(self) -> bool:
@@ -136,7 +144,12 @@ class Prior:
         low, value, high = self._to_y(np.array([self.low, self.value, self.high])).tolist()
         return (0.0 if self._is_near_zero else low), value, high
 
-    @property
+    @cached_property
+    def _skewed(self) -> float:
+        """Shift over span of the log-normal law, which every value needs."""
+        return float(_relative(self._skew))
+
+    @cached_property
     def _span(self) -> float:
         """From the value to the end of the range, in y; the upper end, or the only one on another side."""
         low, value, high = self._knots
@@ -152,17 +165,17 @@ class Prior:
         middle = self._knots[1]
         if self.fixed:
             return np.full(z.shape, middle)
-        if self._is_one_sided:
+        if self.is_one_sided:
             return middle + self._span * _absolute(z if self._span > 0.0 else -z) / W_95
-        return middle + self._span * z / Z_95 * _relative(self._skew * z / Z_95) / _relative(self._skew)
+        return middle + self._span * z / Z_95 * _relative(self._skew * z / Z_95) / self._skewed
 
     def _slope_y(self, z: Array) -> Array:
         if self.fixed:
             return np.zeros(z.shape)
-        if self._is_one_sided:
+        if self.is_one_sided:
             w = _absolute(z if self._span > 0.0 else -z)
             return abs(self._span) / W_95 * 0.5 * np.exp(0.5 * (w * w - z * z))
-        return self._span / Z_95 * np.exp(self._skew * z / Z_95) / _relative(self._skew)
+        return self._span / Z_95 * np.exp(self._skew * z / Z_95) / self._skewed
 
     def _to_y(self, x: Array) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from meshes.base.errors import InputError, is_file
+from meshes.base.text_numbers import number_in, require_distinct_columns
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.drilling_recording import read_drilling
@@ -112,6 +113,7 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             names = reader.fieldnames or []
+            require_distinct_columns(names, "motion.file", path)
             missing = [name for name in ("time_s", *POSE_COLUMNS) if name not in names]
             rows = [] if missing else [_pose(row, reader.line_num, path) for row in reader]
     except (UnicodeDecodeError, csv.Error):
@@ -144,7 +146,7 @@ def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:
     values = []
     for name in ("time_s", *POSE_COLUMNS):
         try:
-            value = float(row[name])
+            value = number_in(row[name])
         except (TypeError, ValueError):
             value = float("nan")
         if not isfinite(value):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.text_numbers import number_in, require_distinct_columns
 from meshes.base.whole_file import whole_file
 from tissue.simulation.trace import NO_LAYER, Table, TraceLayout
 
@@ -129,6 +130,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
     except (UnicodeDecodeError, csv.Error) as problem:
         raise InputError(f"{path.name} must be a CSV table, got other data in {path}: run the scene again") from problem
     columns = tuple(whole[0]) if whole else ()
+    require_distinct_columns(columns, path.name, path)
     index = {name: float(i) for i, name in enumerate(layer_names)} | {NO_LAYER: -1.0}
     rows = np.empty((max(len(whole) - 1, 0), len(columns)))
     for number, line in enumerate(whole[1:]):
@@ -137,7 +139,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
             raise InputError(f"{path.name} must hold {len(columns)} values a line, got {len(line)} {where}")
         for place, (name, cell) in enumerate(zip(columns, line, strict=True)):
             try:
-                rows[number, place] = index[cell] if name == "layer" else float(cell)
+                rows[number, place] = index[cell] if name == "layer" else number_in(cell)
             except KeyError:
                 known = ", ".join(index)
                 raise InputError(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import tissue
-from tissue.fitting.nuts import Draws
 
 SCENE = {"voxels.spacing_mm": 0.4, "duration_s": 1.5}
 PLANTED = {
@@ -51,36 +50,6 @@ def test_planted_coefficients_come_back_as_a_file_for_scenes(log, tmp_path, comm
     assert "http" not in report.replace("http-equiv", "") and report.count("<img") == 3
     code, _, message = command("fit", "milling", *options, "--measured", log, "--out", tmp_path / "fit")
     assert code == 2 and "--overwrite" in message
-
-
-@pytest.mark.slow
-def test_draws_stand_in_for_the_normal_law_everywhere(log, tmp_path, command, monkeypatch):
-    """Draws that are known, of one constant shifted and half as wide, for a sampler that takes minutes."""
-
-    def shifted(target, maximum, covariance, *, seed):
-        rng = np.random.default_rng(seed)
-        u = maximum + rng.standard_normal((4, 500, len(maximum))) * 0.5 * np.sqrt(np.diag(covariance))
-        u[..., 0] += 0.1
-        return Draws(u, np.full(len(maximum), 1.02), np.full(len(maximum), 900.0), 0)
-
-    monkeypatch.setattr("tissue.fitting.fit.draw_by_nuts", shifted)
-    monkeypatch.setattr("tissue.fitting.fit.require_nuts", lambda: None)
-    options = ["milling", *(f"--set={name}={value}" for name, value in SCENE.items()), "--measured", log]
-    options += ["--out", tmp_path / "fit", "--overwrite"]
-    code, text, problem = command("fit", *options, "--nuts")
-    assert code == 0, problem
-    assert "R-hat 1.020 above 1.01" in " ".join(text.split())
-    found = json.loads((tmp_path / "fit" / "fit.json").read_text("utf-8"))
-    assert found["nuts"]["r_hat"] == 1.02 and found["nuts"]["draws"] == 2000
-    first = found["constants"][0]
-    low, middle, high = first["laplace"]
-    assert first["p50"] > middle and np.log(first["p95"] / first["p05"]) < 0.6 * np.log(high / low)
-    fitted = tissue.load_scene("milling", SCENE | {"materials": str(tmp_path / "fit" / "fitted.toml")})
-    assert np.abs(fitted.constants.correlation([each["name"] for each in found["constants"][:2]])[0, 1]) < 0.15
-    assert len((tmp_path / "fit" / "draws.csv").read_text("utf-8").splitlines()) == 2001
-    code, _, problem = command("fit", *options)
-    assert code == 0, problem
-    assert not (tmp_path / "fit" / "draws.csv").exists()
 
 
 def test_a_log_of_air_is_refused(log, tmp_path, refused):

@@ -7,6 +7,7 @@ from time import perf_counter, sleep
 import numpy as np
 
 from meshes.base.errors import InputError
+from meshes.base.text_numbers import number_in
 from tissue.evaluation.calibration.session import Comparison, Magnitude
 from tissue.haptics.device.device import Device
 from tissue.models.tissue_model import TICK_S
@@ -127,7 +128,7 @@ class Person:
                 raise InputError(f"answer must be 1 or 2, got {word or 'nothing'}: in which interval was it stronger?")
             return int(word)
         try:
-            number = float(word.replace(",", "."))
+            number = number_in(word.replace(",", "."))
         except ValueError:
             number = np.nan
         if not 0.0 < number < np.inf:

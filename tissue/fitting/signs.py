@@ -1,0 +1,98 @@
+"""Detection of load channels whose sign is reversed.
+
+Constants of a fit have a known sign, so that a channel of opposite sign cannot be explained by them. The fit would call
+it a bias with noise, and find wrong constants without a word. Each channel, all forces, all torques and all loads are
+therefore fitted with their signs reversed as well.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.fitting.forward import Forward
+from tissue.fitting.measured import MeasuredLoads
+from tissue.fitting.posterior import climbed, starts
+from tissue.fitting.target import Target
+
+__all__ = ["require_signs", "reversed_channels"]
+
+GAIN = 10.0
+"""Log density that reversed signs must add: odds of 2e4, where chance between two signs is one."""
+SCREENED = 50.0
+"""Log density by which reversed signs may be worse before the search, which then moves the noise too."""
+EXPLAINED = 0.5
+"""Share of a channel's variance that the loads must explain once it is reversed: a channel of noise has no sign."""
+
+
+def require_signs(forward: Forward, log: MeasuredLoads) -> None:
+    """Refuse a log with channels that are explained better with their signs reversed.
+
+    Raises
+    ------
+    InputError
+        With the names of these channels.
+    """
+    if wrong := reversed_channels(forward, log):
+        names = ", ".join(wrong)
+        is_one = len(wrong) == 1
+        raise InputError(
+            f"measured has {names} with {'its sign' if is_one else 'their signs'} reversed: the scene explains "
+            f"{'it' if is_one else 'them'} better that way. Loads must act on the tool, in the scene's frame: reverse "
+            f"the sign with --column {wrong[0]}=-COLUMN{'' if is_one else ' and so on'}, or leave the column out"
+        )
+
+
+def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
+    """Return the channels that are explained better with their signs reversed.
+
+    Parameters
+    ----------
+    forward
+        Loads by the constants.
+    log
+        What was measured.
+    """
+    signs = np.ones(len(log.channels))
+    best = _search(forward, log, signs, -np.inf)
+    for _ in log.channels:
+        found = signs
+        for places in _groups(log.channels):
+            tried = signs.copy()
+            tried[places] *= -1.0
+            density = _search(forward, log, tried, best + GAIN)
+            if density > best + GAIN and _is_explained(forward, log, tried, places):
+                best, found = density, tried
+        if found is signs:
+            break
+        signs = found
+    return tuple(name for name, sign in zip(log.channels, signs.tolist(), strict=True) if sign < 0.0)
+
+
+def _groups(channels: Sequence[str]) -> list[list[int]]:
+    """Places of single channels, of all forces, of all torques, and of all loads."""
+    kinds = [[at for at, name in enumerate(channels) if name.startswith(kind)] for kind in ("force_", "torque_", "")]
+    several = [places for places in kinds if len(places) > 1]
+    return [[at] for at in range(len(channels))] + [each for at, each in enumerate(several) if each not in several[:at]]
+
+
+def _reversed(log: MeasuredLoads, signs: Array) -> MeasuredLoads:
+    return replace(log, values=log.values * signs)
+
+
+def _search(forward: Forward, log: MeasuredLoads, signs: Array, wanted: float) -> float:
+    """Largest log density of a log with these signs; of the first guess where it is far from what is wanted."""
+    target = Target(forward, _reversed(log, signs))
+    density, guess = starts(target)[0]
+    return climbed(target, guess)[0] if density > wanted - SCREENED else density
+
+
+def _is_explained(forward: Forward, log: MeasuredLoads, signs: Array, places: Sequence[int]) -> bool:
+    """Whether the loads of the constants explain one of the reversed channels."""
+    target = Target(forward, _reversed(log, signs))
+    _, u = climbed(target, starts(target)[0][1])
+    left = np.nanvar(target.log.values - target.simulated(u), axis=0)
+    whole = np.nanvar(target.log.values, axis=0)
+    return bool((left < (1.0 - EXPLAINED) * whole)[list(places)].any())
