@@ -29,7 +29,6 @@ from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.contact_result import ContactOutcome
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.law_offset import LawOffset
-from tissue.models.organ.law_reduced import LawReduced
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 
 __all__ = ["LiverModel"]
@@ -77,7 +76,7 @@ class LiverModel:
         fields: OrganFields,
         prony: Prony | None = None,
         lazy: LazyCompliance | None = None,
-        law: LawOffset | LawReduced | None = None,
+        law: LawOffset | None = None,
         ball_radius_m: float | None = None,
         step_s: float = TICK_S,
     ) -> None:
@@ -176,9 +175,6 @@ class LiverModel:
         """Compute the fields of the frames."""
         if self._lazy is not None:
             self._lazy.stop()
-        if isinstance(self._law, LawReduced):
-            self._law.finish()
-            self.notices += self._law.notices
         self._fields.compute()
 
     @property
