@@ -78,7 +78,8 @@ def _follower(organ: "SoftOrgan", law: Hyperelastic, cell_factors: Array, nodes:
         )
 
     def factorised(stiffness: bsr_array) -> DirectSolver:
-        return DirectSolver(HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed), last=nodes)
+        held = HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed)
+        return DirectSolver(held, last=nodes, definite=True)
 
     body = NonlinearBody(organ.space, None, law=law, cell_factors=cell_factors)
     return QuasiNewton(body, organ.body.fixed, at_rest, factorised)

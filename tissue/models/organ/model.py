@@ -169,13 +169,28 @@ class LiverModel:
         """Keep the forces where a frame is due."""
         if time_s >= self._fields.next_s - 1e-9:
             force = self.contact.result.nodal_forces_N
-            self._fields.keep(time_s, force, force if self._creep is None else self._crept_N)
+            moved = self._crept_N if self._creep is not None else force
+            self._fields.keep(time_s, force, moved if self._law is None else self.displacement_m())
 
     def finish(self) -> None:
         """Compute the fields of the frames."""
         if self._lazy is not None:
             self._lazy.stop()
         self._fields.compute()
+        self.notices += self._fields.notices
+        self._fields.notices.clear()
+
+    def summary(self) -> dict[str, object]:
+        """Return the figures of a hyperelastic law for the run's summary; empty for a linear organ."""
+        if self._law is None:
+            return {}
+        return {
+            "law": {
+                "solves": self._law.solves,
+                "not_reached": self._law.unsettled,
+                "indefinite_tangents": self._law.indefinite,
+            }
+        }
 
     @property
     def law_note(self) -> str:
