@@ -173,7 +173,9 @@ class QuasiNewton:
         self._greatest_N = max(self._greatest_N, now_N)
         size = max(now_N, SMALL * self._greatest_N)
         steps = 0
+        start = self._displacement, self._energy, self._internal
         acting, left = self._left(load_N)
+        at_start = float(np.abs(left).max())
         while (worst := float(np.abs(left).max())) > tolerance * size and steps < step_limit:
             step = self._inverse(left)
             if not self._advance(step, load_N, float(np.sum(left * step))):
@@ -184,6 +186,11 @@ class QuasiNewton:
             steps += 1
             if steps % MANY == 0:
                 self.take_stiffness()
+        if worst > max(tolerance * size, at_start):
+            # A law that softens has no least energy: the steps may have led far away. Stay at the last equilibrium.
+            self._displacement, self._energy, self._internal = start
+            self._take_factor(self.at_rest)
+            acting, worst = self._left(load_N)[0], at_start
         residual = worst / size if size else 0.0
         return Followed(self._displacement, self._internal, acting, residual, steps)
 

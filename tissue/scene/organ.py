@@ -144,8 +144,8 @@ class Organ(Part):
     """Poisson's ratio; without it the cited one."""
     fibre_direction: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
     """Direction of fibres; with it the tissue is transversely isotropic."""
-    fibre_modulus_ratio: float = Field(1.0, ge=0.1, le=10)
-    """Young's modulus along the fibres over that across them."""
+    fibre_modulus_ratio: float = Field(1.0, ge=0.25, le=10)
+    """Young's modulus along the fibres over that across them. The bulk modulus is that of the tissue without fibres."""
     capsule: bool = False
     """Whether a capsule of the cited thickness and modulus lies on the surface."""
     gravity: bool = False
