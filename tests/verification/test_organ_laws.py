@@ -6,7 +6,7 @@ brings law and ticks together.
 
 import numpy as np
 import pytest
-from pressed_deep import DEPTHS_M, by_newton, moving_N, scene_of, surface_error
+from pressed_deep import by_newton, moving_N, scene_of, surface_error
 
 from tissue.builders.loop import judged_loop
 from tissue.builders.loop_settings import loop_settings
@@ -42,30 +42,6 @@ def test_the_force_of_a_deep_press_is_that_of_newtons_method(law, ratio):
     assert not [what for _, what in run.events if "not reached" in what or "did not settle" in what]
     linear = simulate(scene_of(poisson_ratio=0.45), cores=1)
     assert abs(linear.trace["force_z_N"][-1] / exact.force_N[-1] - 1.0) > 0.08, "what the linear law misses"
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-@pytest.mark.parametrize("law", LAWS)
-def test_a_reduced_model_of_a_deep_press_is_newtons_method(law):
-    """At 20 and 100 mm/s, where the law that is solved forty times a second is 5 % late; no tick is unreported.
-
-    At rest the stiffening one is 1.9 % off, solved between ticks 1 % on the same mesh.
-    """
-    scene = scene_of(**LAWS[law], law_method="reduced", poisson_ratio=0.45)
-    exact = by_newton(scene)
-    for speed, allowed in ((20.0, 0.02), (100.0, 0.04)):
-        run = simulate(changed(scene, {"motion.feed_mm_s": speed}), cores=1)
-        force_N, depth_m = run.trace["force_z_N"], -1e-3 * run.trace["tool_z_mm"]
-        down = int(np.argmax(depth_m >= DEPTHS_M[-1])) + 1
-        moving = np.interp(DEPTHS_M, depth_m[:down], force_N[:down])
-        off = np.linalg.norm(moving - exact.force_N) / np.linalg.norm(exact.force_N)
-        print(law, speed, "moving", off, "at rest", force_N[-1] / exact.force_N[-1] - 1.0,
-              "displacement", surface_error(run, exact), run.parts.notes["law"], run.events)  # fmt: skip
-        assert off < allowed
-        assert force_N[-1] == pytest.approx(exact.force_N[-1], rel=0.025 if law == "stiffening" else 0.01)
-        assert surface_error(run, exact) < 0.04
-        assert not [what for _, what in run.events if "did not settle" in what or "trained" in what]
 
 
 @pytest.mark.slow

@@ -18,7 +18,13 @@ from meshes.tets.regions import nodes_behind_plane, nodes_facing, nodes_of_part
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 from tissue.builders.parts import FILE_WORDS
-from tissue.materials.elasticity import lame, rotated, transversely_isotropic
+from tissue.materials.elasticity import (
+    fibre_ratio_range,
+    lame,
+    rotated,
+    transversely_isotropic,
+    volume_preserving_ratio,
+)
 from tissue.materials.scene_constants import Materials
 from tissue.motion.motion import frame_along
 from tissue.scene.named_parts import nearest
@@ -136,15 +142,33 @@ def elasticity_of(
     if organ.fibre_direction is None:
         return lame(1e3 * young, ratio), note
     along = organ.fibre_modulus_ratio
-    unit = transversely_isotropic(
+    turned = rotated(_fibrous(ratio, along), np.array([organ.fibre_direction]))
+    note += f"; {along:g} times as stiff along its fibres, its bulk modulus as without them"
+    return young[:, None, None] * turned, note
+
+
+def _fibrous(poisson_ratio: float, along: float) -> NDArray[np.float64]:
+    """Stiffness matrix of tissue with fibres along axis 3, of 1 kPa across them [Pa], shape (6, 6).
+
+    Raises
+    ------
+    InputError
+        If fibres of this ratio would leave the tissue unstable.
+    """
+    low, high = fibre_ratio_range(poisson_ratio)
+    if not low < along < high:
+        bound = f"more than {low:.3g}" if along <= low else f"less than {high:.3g}"
+        raise InputError(
+            f"organ.fibre_modulus_ratio is {along:g}, but tissue of Poisson's ratio {poisson_ratio:g} is stable only "
+            f"with {bound}. Change it or organ.poisson_ratio"
+        )
+    return transversely_isotropic(
         young_fibre_Pa=1e3 * along,
         young_across_Pa=1e3,
-        shear_fibre_Pa=1e3 * (0.5 + 0.5 * along) / (2.0 * (1.0 + ratio)),
-        poisson_fibre=ratio,
-        poisson_across=ratio,
+        shear_fibre_Pa=1e3 * (0.5 + 0.5 * along) / (2.0 * (1.0 + poisson_ratio)),
+        poisson_fibre=poisson_ratio,
+        poisson_across=volume_preserving_ratio(poisson_ratio=poisson_ratio, modulus_ratio=along),
     )
-    turned = rotated(unit, np.array([organ.fibre_direction]))
-    return young[:, None, None] * turned, note + f"; {along:g} times as stiff along its fibres"
 
 
 def _moduli_kPa(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ) -> dict[int, float]:

@@ -95,7 +95,6 @@ def organ_law(
         As of `law_of`, or if a real device would wait for the law.
     """
     from tissue.models.organ.law import OrganLaw
-    from tissue.models.organ.law_training import ReducedSettings
     from tissue.models.organ.soft_organ import SoftOrgan
 
     organ = scene.organ
@@ -103,24 +102,19 @@ def organ_law(
     if found is None:
         return None
     if opens_device(scene):
-        waits = "solving the law takes longer than its interval"
-        if organ.law_method == "reduced":
-            waits = "a tangent of the law is taken, for more than a tick"
         raise InputError(
             f"device and organ.law must be left out together, got {scene.device} and {organ.law}: remove one, "
-            f"a real device would wait where {waits}"
+            "a real device would wait where solving the law takes longer than its interval"
         )
     law, factors = found
-    interval_s, reduced = 1e-3 * organ.law_interval_ms, None
-    if organ.law_method == "reduced":
-        reduced = ReducedSettings(modes=organ.law_basis_size, error=organ.law_sampling_error)
+    interval_s = 1e-3 * organ.law_interval_ms
     if organ.law_edge_ratio == 1.0:
-        return OrganLaw(law, factors, interval_s, reduced=reduced)
+        return OrganLaw(law, factors, interval_s)
     mesh = coarser_mesh(scene, path_m=path_m, touch_edge_m=touch_edge_m, ratio=organ.law_edge_ratio, report=report)
     assert isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy)
     moduli, _ = elasticity_of(mesh.mesh, scene.anatomy, organ, scene.constants)
     coarser = SoftOrgan(mesh.mesh, moduli, mesh.held, order=organ.order, device=compute)
-    return OrganLaw(law, factors, interval_s, (coarser, moduli[:, 1] / law.shear_Pa), reduced)
+    return OrganLaw(law, factors, interval_s, (coarser, moduli[:, 1] / law.shear_Pa))
 
 
 def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:

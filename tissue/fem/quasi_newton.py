@@ -3,6 +3,9 @@
 Each step needs one evaluation of the internal forces and one solve with a factor, at first of the stiffness at rest.
 What the last steps found of the curvature (Liu and Nocedal 1989, Math. Program. 45:503) belongs to the body alone, not
 to the forces, so it stays from one load to the next. Where steps become many, the stiffness there is factorised.
+
+Springs may hold some points near prescribed displacements. Tissue that a tool presses deep can be stable only because
+the tool is rigid: under the same forces without the tool its tangent is indefinite and no equilibrium is near.
 """
 
 from collections import deque
@@ -11,14 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array
+from scipy.sparse import bsr_array, csr_array, diags_array, kron
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
 from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.multifrontal import NotPositiveDefiniteError
 
-__all__ = ["Followed", "QuasiNewton"]
+__all__ = ["Followed", "QuasiNewton", "Springs"]
 
 MEMORY = 12
 """Steps whose curvature is kept."""
@@ -28,6 +31,65 @@ SMALL = 1e-3
 """Share of the greatest load so far below which a load counts as that much: less need not be balanced."""
 MANY = 8
 """Steps of a solve after which the stiffness of where it is takes the place of the one before."""
+SPRING = 1.0
+"""Stiffness of a spring over the stiffness of the point that it holds."""
+SHARES = (1.0, 0.5, 0.2)
+"""Shares of an indefinite tangent that are tried; the stiffness at rest makes up the rest and is positive definite."""
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """Springs between points of a body and places that do not move.
+
+    Attributes
+    ----------
+    points
+        Displacements of the points from those of all components, shape (p, 3n).
+    stiffness_N_m
+        Stiffness of each spring [N/m], shape (p,).
+    target_m
+        Displacement at which each spring is at rest [m], shape (p,).
+    """
+
+    points: csr_array
+    stiffness_N_m: Array
+    target_m: Array
+
+    @classmethod
+    def none(cls, unknowns: int) -> "Springs":
+        """Return no springs, for a body of some unknowns."""
+        return cls(csr_array((0, unknowns)), np.zeros(0), np.zeros(0))
+
+    @classmethod
+    def holding(cls, shares: csr_array, compliance_m_N: Array, target_m: Array) -> "Springs":
+        """Hold points near places in all directions, each as stiffly as the body itself.
+
+        Parameters
+        ----------
+        shares
+            Shares of the nodes in the points, shape (p, n).
+        compliance_m_N
+            Compliance of each point at rest [m/N], shape (p,).
+        target_m
+            Displacements of the points at which the springs are at rest [m], shape (p, 3).
+        """
+        points = csr_array(kron(shares, np.eye(3), format="csr"))
+        return cls(points, np.repeat(SPRING / compliance_m_N, 3), target_m.ravel())
+
+    def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
+        """Compute the energy [J] and the forces on the nodes [N], shape (n, 3)."""
+        stretch = self.points @ displacement_m.ravel() - self.target_m
+        pull = self.stiffness_N_m * stretch
+        return 0.5 * float(stretch @ pull), -(self.points.T @ pull).reshape(-1, 3)
+
+    def product(self, change_m: Array) -> Array:
+        """Compute the change of the forces against a change of displacement [N], shape (n, 3)."""
+        force: Array = self.points.T @ (self.stiffness_N_m * (self.points @ change_m.ravel()))
+        return force.reshape(-1, 3)
+
+    def matrix(self) -> bsr_array:
+        """Assemble the stiffness of all springs [N/m], shape (3n, 3n)."""
+        return bsr_array((self.points.T @ diags_array(self.stiffness_N_m) @ self.points).tobsr((3, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +100,8 @@ class Followed:
     ----------
     displacement_m, internal_N
         Displacement [m] and the internal forces there [N], shape (n, 3).
+    load_N
+        Load and forces of the springs [N], shape (n, 3).
     residual
         Largest force that nothing balances, over the largest of the load and of what was carried before.
     steps
@@ -46,6 +110,7 @@ class Followed:
 
     displacement_m: Array
     internal_N: Array
+    load_N: Array
     residual: float
     steps: int
 
@@ -62,12 +127,14 @@ class QuasiNewton:
     at_rest
         Factor of the stiffness at rest.
     factorise
-        Makes that of another stiffness [N/m]; raises `InputError` where it cannot.
+        Makes that of another stiffness [N/m]; raises `NotPositiveDefiniteError` where it has no Cholesky factor.
 
     Attributes
     ----------
     factor
         The factor of last, of the stiffness at rest or of a place that was passed since.
+    indefinite
+        Number of tangents so far that were not positive definite.
     """
 
     def __init__(
@@ -82,65 +149,149 @@ class QuasiNewton:
         self._displacement = np.zeros(fixed.shape)
         self._energy, self._internal = body.energy_and_force(self._displacement)
         self._greatest_N = 0.0
-        self._pairs: deque[tuple[Array, Array, float]] = deque(maxlen=MEMORY)
+        self.indefinite = 0
+        self._memory: deque[tuple[Array, Array]] = deque(maxlen=MEMORY)
+        self._pairs: list[tuple[Array, Array, float]] = []
+        self._springs = Springs.none(fixed.size)
+        self._held_back: Array | None = None
 
-    def follow(self, load_N: Array, *, tolerance: float, step_limit: int) -> Followed:
-        """Go on to the equilibrium under a load [N], shape (n, 3), from where the last one ended."""
+    def follow(self, load_N: Array, *, tolerance: float, step_limit: int, springs: Springs | None = None) -> Followed:
+        """Go on to the equilibrium under a load [N], shape (n, 3), from where the last one ended.
+
+        Parameters
+        ----------
+        load_N
+            Load [N], shape (n, 3).
+        tolerance, step_limit
+            Residual allowed, and most steps.
+        springs
+            Springs that act in addition; default: none.
+        """
+        self._spring_up(springs or Springs.none(self._fixed.size))
         carried = np.where(self._fixed, 0.0, self._internal)
         now_N = float(max(np.abs(load_N).max(), np.abs(carried).max()))
         self._greatest_N = max(self._greatest_N, now_N)
-        size, steps = max(now_N, SMALL * self._greatest_N), 0
-        left = np.where(self._fixed, 0.0, load_N - self._internal)
+        size = max(now_N, SMALL * self._greatest_N)
+        steps = 0
+        start = self._displacement, self._energy, self._internal
+        acting, left = self._left(load_N)
+        at_start = float(np.abs(left).max())
         while (worst := float(np.abs(left).max())) > tolerance * size and steps < step_limit:
             step = self._inverse(left)
             if not self._advance(step, load_N, float(np.sum(left * step))):
-                if self.factor is self.at_rest and not self._pairs:
+                if self.factor is self.at_rest and not self._memory:
                     break
-                self.factor = self.at_rest
-                self._pairs.clear()
-            left = np.where(self._fixed, 0.0, load_N - self._internal)
+                self._take_factor(self.at_rest)
+            acting, left = self._left(load_N)
             steps += 1
             if steps % MANY == 0:
                 self.take_stiffness()
-        return Followed(self._displacement, self._internal, worst / size if size else 0.0, steps)
+        if worst > max(tolerance * size, at_start):
+            # A law that softens has no least energy: the steps may have led far away. Stay at the last equilibrium.
+            self._displacement, self._energy, self._internal = start
+            self._take_factor(self.at_rest)
+            acting, worst = self._left(load_N)[0], at_start
+        residual = worst / size if size else 0.0
+        return Followed(self._displacement, self._internal, acting, residual, steps)
+
+    def _left(self, load_N: Array) -> tuple[Array, Array]:
+        """Compute load and springs together, and what of them nothing balances [N], shape (n, 3) both."""
+        acting = load_N + self._springs.energy_and_force(self._displacement)[1]
+        return acting, np.where(self._fixed, 0.0, acting - self._internal)
 
     def _advance(self, step: Array, load_N: Array, slope: float) -> bool:
-        """Take a step, shortened until the energy falls; false where no length of it does."""
+        """Take a step, shortened until the energy falls; return False where no length of it does."""
         if slope <= 0.0:
             return False
-        before, share = self._energy - float(np.sum(load_N * self._displacement)), 1.0
+        before = self._energy + self._outer(self._displacement, load_N)
+        share = 1.0
         for _ in range(HALVINGS):
             moved = self._displacement + share * step
             energy, internal = self._body.energy_and_force(moved)
             allowed = before - ARMIJO * share * slope + ROUNDING * abs(self._energy)
-            if np.isfinite(energy) and energy - float(np.sum(load_N * moved)) <= allowed:
+            if np.isfinite(energy) and energy + self._outer(moved, load_N) <= allowed:
                 break
             share *= 0.5
         else:
             return False
         change, force = share * step, np.where(self._fixed, 0.0, internal - self._internal)
-        curved = float(np.sum(change * force))
-        if curved > 0.0:
-            self._pairs.append((change, force, 1.0 / curved))
+        self._memory.append((change, force))
+        self._pair(change, force)
         self._displacement, self._energy, self._internal = moved, energy, internal
         return True
 
+    def _outer(self, moved_m: Array, load_N: Array) -> float:
+        """Compute the energy of the load and of the springs [J]."""
+        return self._springs.energy_and_force(moved_m)[0] - float(np.sum(load_N * moved_m))
+
     def take_stiffness(self) -> None:
-        """Go on with the stiffness of this place."""
-        self._pairs.clear()
+        """Factorise the stiffness of this place, made stiffer where it is not positive definite.
+
+        The springs are added first. Where they are not enough, the tangent is mixed with the stiffness at rest.
+        """
+        tangent, rest = self._body.stiffness(self._displacement), self.at_rest.body.stiffness
         try:
-            self.factor = self._factorise(self._body.stiffness(self._displacement))
-        except InputError:
-            self.factor = self.at_rest
+            return self._take_factor(self._factorise(tangent))
+        except NotPositiveDefiniteError:
+            self.indefinite += 1
+        held = bsr_array((tangent + self._springs.matrix()).tobsr((3, 3)))
+        for share in SHARES:
+            try:
+                return self._take_factor(self._factorise(share * held + (1.0 - share) * rest))
+            except NotPositiveDefiniteError:
+                continue
+        return self._take_factor(self.at_rest)
+
+    def _take_factor(self, factor: DirectSolver) -> None:
+        """Go on with a factor and without what the last steps found."""
+        self.factor = factor
+        self._memory.clear()
+        self._pairs.clear()
+        self._hold_back()
+
+    def _spring_up(self, springs: Springs) -> None:
+        """Go on with other springs; what was found of the body's curvature stays."""
+        self._springs = springs
+        self._hold_back()
+        self._pairs.clear()
+        for change, force in self._memory:
+            self._pair(change, force)
+
+    def _pair(self, change: Array, force: Array) -> None:
+        """Take a change and that of the body's forces as curvature, where it is positive with the springs."""
+        whole = force + np.where(self._fixed, 0.0, self._springs.product(change))
+        curved = float(np.sum(change * whole))
+        if curved > 0.0:
+            self._pairs.append((change, whole, 1.0 / curved))
+            del self._pairs[:-MEMORY]
+
+    def _hold_back(self) -> None:
+        """Prepare what the springs take off the displacements of the factor (Woodbury's identity)."""
+        points, self._held_back = self._springs.points, None
+        if points.shape[0]:
+            nodes = np.unique(points.indices // 3)
+            columns = (3 * nodes[:, None] + np.arange(3)).ravel()
+            near = points[:, columns]
+            between = near @ (near @ self.factor.compliance_between(nodes)).T
+            self._held_back = np.linalg.inv(np.diag(1.0 / self._springs.stiffness_N_m) + 0.5 * (between + between.T))
+
+    def _solve(self, forces_N: Array) -> Array:
+        """Solve with the factor and the springs [m], shape (n, 3)."""
+        free = self.factor.solve(forces_N).displacement_m
+        if self._held_back is None:
+            return free
+        points = self._springs.points
+        pull = points.T @ (self._held_back @ (points @ free.ravel()))
+        return free - self.factor.solve(pull.reshape(-1, 3)).displacement_m
 
     def _inverse(self, left_N: Array) -> Array:
-        """The inverse of the stiffness about here, times forces (two loops of Nocedal 1980)."""
+        """Apply the inverse of the stiffness about here to forces (two loops of Nocedal 1980)."""
         forces, shares = left_N.copy(), []
         for change, force, inverse in reversed(self._pairs):
             share = inverse * float(np.sum(change * forces))
             shares.append(share)
             forces -= share * force
-        step = self.factor.solve(forces).displacement_m
+        step = self._solve(forces)
         for (change, force, inverse), share in zip(self._pairs, reversed(shares), strict=True):
             step += change * (share - inverse * float(np.sum(force * step)))
         return step

@@ -13,11 +13,13 @@ from meshes.base.errors import InputError
 __all__ = [
     "checked_stiffness",
     "elasticity_rows",
+    "fibre_ratio_range",
     "lame",
     "orthotropic",
     "rotated",
     "stiffness_of_lame",
     "transversely_isotropic",
+    "volume_preserving_ratio",
 ]
 
 
@@ -132,6 +134,41 @@ def transversely_isotropic(
         shear_Pa=(shear_across, shear_fibre_Pa, shear_fibre_Pa),
         poisson_ratio=(poisson_across, back, back),
     )
+
+
+def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> float:
+    """Compute Poisson's ratio across fibres at which they leave the bulk modulus as it is without them.
+
+    Take a transversely isotropic material with moduli E across and r E along its fibres, contraction nu of a pull along
+    them and nu_across of a pull across them. Under a pressure its volume changes by the sum of its compliances::
+
+        1 / K = (2 (1 - nu_across) + (1 - 4 nu) / r) / E
+
+    This is the isotropic 3 (1 - 2 nu) / E for nu_across = 3 nu - 1/2 + (1 - 4 nu) / (2 r).
+
+    Parameters
+    ----------
+    poisson_ratio
+        Poisson's ratio without fibres, and of a pull along them.
+    modulus_ratio
+        Young's modulus along the fibres over that across them.
+    """
+    return 3.0 * poisson_ratio - 0.5 + (1.0 - 4.0 * poisson_ratio) / (2.0 * modulus_ratio)
+
+
+def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
+    """Compute the open range of modulus ratios in which `volume_preserving_ratio` leaves a material stable.
+
+    Stable means 1 - nu_across > 2 nu^2 / r, which is r > (1 - 2 nu) / 3, and nu_across > -1, which bounds r from below
+    where nu > 1/4 and from above where nu < -1/6.
+    """
+    low, high = (1.0 - 2.0 * poisson_ratio) / 3.0, np.inf
+    slope = 1.0 + 6.0 * poisson_ratio
+    if poisson_ratio > 0.25:
+        low = max(low, (4.0 * poisson_ratio - 1.0) / slope)
+    if slope < 0.0:
+        high = (1.0 - 4.0 * poisson_ratio) / -slope
+    return low, high
 
 
 def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:

@@ -17,6 +17,7 @@ __all__ = [
     "FreeSpace",
     "HasFields",
     "HasNotices",
+    "HasSummary",
     "HasVoxels",
     "Response",
     "SchedulesBackground",
@@ -155,6 +156,15 @@ class HasNotices(Protocol):
 
     notices: list[str]
     """A sentence each; the loop takes them out as it logs them."""
+
+
+@runtime_checkable
+class HasSummary(Protocol):
+    """A tissue that adds figures of its own to the summary of a run."""
+
+    def summary(self) -> dict[str, object]:
+        """Return the entries by their names."""
+        ...
 
 
 @runtime_checkable

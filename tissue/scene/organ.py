@@ -144,8 +144,8 @@ class Organ(Part):
     """Poisson's ratio; without it the cited one."""
     fibre_direction: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
     """Direction of fibres; with it the tissue is transversely isotropic."""
-    fibre_modulus_ratio: float = Field(1.0, ge=0.1, le=10)
-    """Young's modulus along the fibres over that across them."""
+    fibre_modulus_ratio: float = Field(1.0, ge=0.25, le=10)
+    """Young's modulus along the fibres over that across them. The bulk modulus is that of the tissue without fibres."""
     capsule: bool = False
     """Whether a capsule of the cited thickness and modulus lies on the surface."""
     gravity: bool = False
@@ -162,14 +162,8 @@ class Organ(Part):
     """The same of the third power."""
     exponent: float | None = Field(None, ge=-30, le=30, examples=[8.0])
     """Exponent of the stretches of an Ogden law of one term; not 0."""
-    law_method: Literal["offset", "reduced"] = "offset"
-    """How such a law is followed: solved between ticks, or by a reduced model of presses along the path, every tick."""
     law_interval_ms: float = Field(25.0, ge=5, le=1000)
-    """Time between two solves of a law that is not linear, or between two tangents of its reduced model."""
-    law_basis_size: int = Field(40, ge=2, le=200)
-    """Vectors of that reduced model's basis."""
-    law_sampling_error: float = Field(0.02, ge=1e-4, le=0.2)
-    """Error of its internal forces, by which its points are chosen, over their size."""
+    """Time between two solves of a law that is not linear."""
     law_edge_ratio: float = Field(1.4, ge=1, le=4)
     """Edges of the mesh on which that law is solved, over those of the organ's."""
     friction: float = Field(0.3, ge=0, le=2)

@@ -17,7 +17,7 @@ from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
 from tissue.haptics.hand_measures import ENHANCED
-from tissue.models.tissue_model import TICK_S, HasVoxels
+from tissue.models.tissue_model import TICK_S, HasSummary, HasVoxels
 from tissue.scene.scene import Scene
 from tissue.simulation.break_through import BreakThrough
 from tissue.simulation.enhancement_cost import enhancement_cost
@@ -156,6 +156,7 @@ class Run:
             **({} if self.parts.keep_clear is None else {"keep_clear": self.parts.keep_clear.summary()}),
             **({"enhancement": enhancement_cost(trace)} if ENHANCED[0] in trace.columns else {}),
             **({"break_through": list(map(asdict, self.break_throughs))} if self.break_throughs else {}),
+            **(tissue.summary() if isinstance(tissue, HasSummary) else {}),
             "events": [{"time_s": time, "what": what} for time, what in self.events],
             "compute": self._compute,
             **self.parts.placement_record,

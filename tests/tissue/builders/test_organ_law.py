@@ -7,7 +7,7 @@ from meshes.base.errors import InputError
 from tissue.builders.organ_law import law_of
 from tissue.materials.elasticity import lame
 from tissue.materials.hyperelasticity import Hyperelastic
-from tissue.scene.load import changed, load_scene
+from tissue.scene.load import load_scene
 from tissue.scene.organ import Organ
 from tissue.simulation.simulate import simulate
 
@@ -87,15 +87,6 @@ def test_what_a_law_cannot_have_is_refused(changes, sentence):
             "organ.second_share must be left out",
         ),
         ({"organ.law_interval_ms": 50.0}, "organ.law_interval_ms must be left out with organ.law = linear"),
-        ({"organ.law_method": "reduced"}, "organ.law_method must be left out with organ.law = linear"),
-        (
-            {"organ.law": "neo-hookean", "organ.law_basis_size": 20},
-            "organ.law_basis_size must be left out without a reduced model of a law",
-        ),
-        (
-            {"organ.law": "neo-hookean", "organ.law_sampling_error": 0.1},
-            "organ.law_sampling_error must be left out without a reduced model of a law",
-        ),
     ],
 )
 def test_keys_of_laws_are_refused_where_they_have_no_effect(changes, sentence):
@@ -111,28 +102,11 @@ def test_at_a_small_depth_a_law_gives_the_force_of_the_linear_one():
     assert peaks[1] == pytest.approx(peaks[0], rel=0.01)
 
 
-def test_a_reduced_model_gives_the_force_of_the_law_and_states_what_it_is(monkeypatch, tmp_path):
-    """On a small slab, at 10 mm/s: within 1 % of the law solved between ticks."""
-    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
-    runs = [
-        simulate(load_scene("palpation", pressed(2.5, law="neo-hookean", **method)), cores=1)
-        for method in ({}, {"law_method": "reduced", "law_basis_size": 24})
-    ]
-    offset_N, reduced_N = (run.trace["force_z_N"][-1] for run in runs)
-    print(offset_N, reduced_N, runs[1].parts.notes["law"], runs[1].events)
-    assert reduced_N == pytest.approx(offset_N, rel=0.01)
-    note = runs[1].parts.notes["law"]
-    assert note.startswith("neo-hookean, by ") and "modes at" in note
-    assert not [what for _, what in runs[1].events if "law" in what]
-
-
 def test_a_real_device_is_refused_and_a_simulated_one_is_not(monkeypatch):
     """A simulated one waits for the law, as the run does."""
     scene = load_scene("palpation", pressed(1.0, law="neo-hookean") | {"device": "touch"})
     assert simulate(scene, cores=1).trace["force_z_N"].max() > 0.0
     monkeypatch.setattr("tissue.builders.organ_law.opens_device", lambda _: True)
-    for method, reason in (("offset", "solving the law takes longer"), ("reduced", "a tangent of the law is taken")):
-        refused = changed(scene, {"organ.law_method": method})
-        sentence = rf"device and organ\.law must be left out together, got touch and neo.*{reason}"
-        with pytest.raises(InputError, match=sentence):
-            simulate(refused, cores=1)
+    sentence = r"device and organ\.law must be left out together, got touch and neo.*solving the law takes longer"
+    with pytest.raises(InputError, match=sentence):
+        simulate(scene, cores=1)

@@ -1,11 +1,19 @@
 """Soft organs by their scenes: what a run of them gives, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
+from meshes.tets.structured import box
 from tissue import load_scene, simulate
+from tissue.builders.organ import elasticity_of
+from tissue.fem.assembly import assemble
+from tissue.fem.space import Space
+from tissue.scene.organ import Organ
 
 PRESS = {
     "anatomy.edge_mm": 22.0,
@@ -130,15 +138,51 @@ def test_a_finger_from_a_file_feels_what_its_ball_feels(tmp_path):
 
 
 @pytest.mark.slow
-def test_capsule_gravity_and_fibres_run():
+def test_capsule_and_gravity_run():
     plain = slab().trace["model_force_z_N"].max()
     assert slab(**{"organ.capsule": True}).trace["model_force_z_N"].max() > plain
-    stiff = slab(**{"organ.fibre_direction": [0, 0, 1], "organ.fibre_modulus_ratio": 2.0})
-    assert stiff.trace["model_force_z_N"].max() > 1.1 * plain
     heavy = slab(**{"organ.gravity": True})
     assert "sags" in heavy.parts.notes["gravity"]
     first = heavy.parts.tissue.fields.frames[0].points["displacement_mm"]
     assert first[:, 2].min() < 0.0
+
+
+@pytest.mark.parametrize("direction", [[1, 0, 0], [0, 0, 1]])
+def test_the_force_rises_with_the_ratio_of_fibres(direction):
+    """Across the press and along it, by fibres that are softer than the tissue around them and stiffer."""
+    fibres = {"organ.interval_ms": 0.0, "organ.fibre_direction": direction}
+    runs = [
+        slab(**({} if ratio == 1.0 else fibres | {"organ.fibre_modulus_ratio": ratio})) for ratio in (0.5, 1.0, 3.0)
+    ]
+    forces = np.array([run.trace["model_force_z_N"].max() for run in runs])
+    assert (np.diff(forces) > 0.01 * forces[1]).all(), forces / forces[1]
+
+
+def test_fibres_are_the_same_in_a_turned_organ():
+    """Stiffness of a mesh that is turned together with its fibres, against the stiffness turned by hand."""
+    scene = load_scene("palpation", SLAB)
+    mesh, turn = box((0.02, 0.03, 0.01), (2, 2, 1)), Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
+    fibre = np.array([2.0, 1.0, -1.0])
+    stiffness = []
+    for nodes, direction in ((mesh.nodes_m, fibre), (mesh.nodes_m @ turn.T, turn @ fibre)):
+        organ = Organ(young_kPa=5.0, fibre_direction=tuple(direction), fibre_modulus_ratio=3.0)
+        body = replace(mesh, nodes_m=nodes)
+        moduli, _ = elasticity_of(body, scene.anatomy, organ)
+        stiffness.append(assemble(Space(body, 2), moduli).toarray())
+    count = len(stiffness[0]) // 3
+    turned = np.einsum("ij,ajbk,lk->aibl", turn, stiffness[0].reshape(count, 3, count, 3), turn)
+    np.testing.assert_allclose(stiffness[1], turned.reshape(3 * count, -1), atol=1e-9 * np.abs(turned).max())
+
+
+@pytest.mark.parametrize(
+    ("ratio", "poisson", "sentence"),
+    [(0.25, 0.0, r"fibre_modulus_ratio is 0\.25.*Poisson's ratio 0 is stable only with more than 0\.333"),
+     (3.0, -0.5, r"is 3.*less than 1\.5\. Change it or organ\.poisson_ratio")],
+)  # fmt: skip
+def test_fibres_that_would_make_tissue_unstable_are_refused(ratio, poisson, sentence):
+    fibres = {"organ.fibre_direction": [1, 0, 0], "organ.fibre_modulus_ratio": ratio, "organ.poisson_ratio": poisson}
+    with pytest.raises(InputError, match=sentence):
+        slab(**fibres)
 
 
 def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from scipy.sparse import csr_array, eye_array
 
 from meshes.base.errors import InputError
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.quasi_newton import QuasiNewton
+from tissue.fem.quasi_newton import QuasiNewton, Springs
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.space import Space
@@ -46,6 +47,28 @@ def pulled(space: Space, force_N: float) -> np.ndarray:
     return load
 
 
+SOFTENING = Hyperelastic.yeoh(0.5 * LAME[1], -0.04 * LAME[1], 0.0, bulk_Pa=LAW.bulk_Pa)
+"""Its force along a bar is greatest at a stretch of 2.0 and falls from there: no load alone holds it beyond."""
+
+
+def softening_bar() -> tuple[Space, HeldBody, QuasiNewton, NonlinearBody]:
+    """A cube of that law, whose tangents are refused where they are not positive definite."""
+    space = Space(box((SIDE_M,) * 3, (1, 1, 1)), 2)
+    held, nodes = HeldBody(assemble(space, LAME), space.nodes_m, np.abs(space.nodes_m) < 1e-12), np.arange(27)
+
+    def solver_of(stiffness):
+        return DirectSolver(HeldBody(stiffness, space.nodes_m, held.fixed), last=nodes, definite=True)
+
+    body = NonlinearBody(space, None, law=SOFTENING)
+    return space, held, QuasiNewton(body, held.fixed, solver_of(held.stiffness), solver_of), body
+
+
+def softening_N(along: float) -> tuple[float, np.ndarray]:
+    """Force along that bar [N] and its stretches, by the law's own derivatives."""
+    side = brentq(lambda side: SOFTENING.stress(np.diag([along, side, side]))[1, 1], 0.3, 3.0, xtol=1e-14)
+    return SOFTENING.stress(np.diag([along, side, side]))[0, 0] * SIDE_M**2, np.array([along, side, side])
+
+
 def stretched(force_N: float) -> tuple[float, float]:
     """Stretch along and across a bar under a nominal stress along it, by the law's own derivatives."""
 
@@ -77,6 +100,49 @@ def test_taken_off_the_load_leaves_nothing():
     follower.follow(pulled(space, 6.0), tolerance=1e-6, step_limit=100)
     found = follower.follow(np.zeros((space.node_count, 3)), tolerance=1e-9, step_limit=100)
     assert np.abs(found.displacement_m).max() < 1e-9
+
+
+def test_springs_hold_a_bar_beyond_the_load_that_it_can_bear():
+    """Force and shape on the falling branch are those of the closed form, though the tangent is indefinite there."""
+    space, held, follower, body = softening_bar()
+    face = np.flatnonzero(np.isclose(space.nodes_m[:, 0], SIDE_M))
+    shares = csr_array(eye_array(space.node_count, format="csr")[face])
+    forces_N = []
+    for along in (1.5, 1.8, 2.0, 2.02, 2.04, 2.06, 2.08, 2.1, 2.12):
+        force_N, stretches = softening_N(along)
+        moved_m = space.nodes_m * (stretches - 1.0)
+        springs = Springs.holding(shares, np.full(len(face), 2e-3), moved_m[face])
+        # The springs are set off, so that they are not at rest in the equilibrium that is asked for.
+        off_N = np.zeros((space.node_count, 3))
+        off_N[face, 0] = 0.02 / len(face)
+        springs = Springs(springs.points, springs.stiffness_N_m, springs.target_m + 2e-3 * off_N[face].ravel())
+        found = follower.follow(pulled(space, force_N) - off_N, tolerance=1e-9, step_limit=100, springs=springs)
+        assert found.residual <= 1e-9
+        assert found.displacement_m == pytest.approx(moved_m, abs=1e-9)
+        assert found.load_N[:, 0].sum() == pytest.approx(force_N, rel=1e-8)
+        forces_N.append(force_N)
+        free = held.free
+        least = np.linalg.eigvalsh(body.stiffness(found.displacement_m).toarray()[np.ix_(free, free)])[0]
+        assert (least < 0.0) == (along >= 2.0)
+        follower.take_stiffness()
+        compliance = follower.factor.compliance_between(np.arange(space.node_count))
+        assert np.linalg.eigvalsh(compliance[np.ix_(free, free)])[0] > 0.0, "what a contact takes is definite"
+    assert forces_N[-1] < max(forces_N), "the last stretches lie on the falling branch"
+    assert follower.indefinite >= 7
+
+
+def test_a_load_that_nothing_balances_leaves_the_last_equilibrium():
+    """A softening bar has no equilibrium under three times its greatest force; the follower goes on from where it was."""
+    space, _, follower, _ = softening_bar()
+    for along, factor in ((1.5, 1.0), (1.5, 4.0), (1.6, 1.0)):
+        force_N, stretches = softening_N(along)
+        found = follower.follow(pulled(space, factor * force_N), tolerance=1e-9, step_limit=60)
+        if factor > 1.0:
+            assert found.residual > 0.1
+            assert np.isfinite(found.displacement_m).all()
+        else:
+            assert found.residual <= 1e-9
+            assert found.displacement_m == pytest.approx(space.nodes_m * (stretches - 1.0), abs=1e-9)
 
 
 def test_a_solve_of_no_steps_reports_what_is_left():

@@ -8,11 +8,13 @@ from meshes.base.errors import InputError
 from tissue.materials.elasticity import (
     checked_stiffness,
     elasticity_rows,
+    fibre_ratio_range,
     lame,
     orthotropic,
     rotated,
     stiffness_of_lame,
     transversely_isotropic,
+    volume_preserving_ratio,
 )
 
 FEMUR = {
@@ -82,6 +84,43 @@ def test_turned_material_has_the_energy_of_the_strain_turned_back(seed):
     assert strain @ turned @ strain == pytest.approx(seen @ matrix @ seen, rel=1e-12)
     assert np.array_equal(turned, turned.T)
     assert np.allclose(rotated(turned, rotation.T[None])[0], matrix, rtol=1e-12, atol=1.0)
+
+
+def fibrous_compliance(poisson, ratio):
+    """Compliance of tissue of 1 Pa across fibres along z, normal strains alone, shape (3, 3), written out by hand."""
+    across = volume_preserving_ratio(poisson_ratio=poisson, modulus_ratio=ratio)
+    along = -poisson / ratio
+    return np.array([[1.0, -across, along], [-across, 1.0, along], [along, along, 1.0 / ratio]])
+
+
+@pytest.mark.parametrize("poisson", [-0.5, 0.0, 0.3, 0.45, 0.49, 0.499])
+def test_fibres_leave_the_bulk_modulus_as_it_is(poisson):
+    """Over the whole range the volume under a pressure is that of the isotropic tissue, in any frame."""
+    low, high = fibre_ratio_range(poisson)
+    isotropic_bulk = 1.0 / (3.0 * (1.0 - 2.0 * poisson))
+    for ratio in np.geomspace(1.01 * low, min(0.99 * high, 10.0), 9):
+        unit = transversely_isotropic(
+            young_fibre_Pa=ratio, young_across_Pa=1.0, shear_fibre_Pa=0.3, poisson_fibre=poisson,
+            poisson_across=volume_preserving_ratio(poisson_ratio=poisson, modulus_ratio=ratio),
+        )  # fmt: skip
+        assert np.linalg.eigvalsh(unit)[0] > 0.0
+        turned = rotated(unit, np.random.default_rng(3).normal(size=(1, 3)))[0]
+        shrinks = np.linalg.solve(turned, -np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]))[:3].sum()
+        assert -1.0 / shrinks == pytest.approx(isotropic_bulk, rel=1e-8)
+
+
+@pytest.mark.parametrize("poisson", [-0.5, 0.0, 0.3, 0.49])
+def test_the_range_of_fibres_is_that_of_stable_tissue(poisson):
+    low, high = fibre_ratio_range(poisson)
+    for inside, outside in ((1.001 * low, 0.999 * low), (0.999 * high, 1.001 * high)):
+        if np.isfinite(inside):
+            assert np.linalg.eigvalsh(fibrous_compliance(poisson, inside))[0] > 0.0
+            assert np.linalg.eigvalsh(fibrous_compliance(poisson, outside))[0] < 0.0
+
+
+def test_a_ratio_of_one_is_no_fibre():
+    assert volume_preserving_ratio(poisson_ratio=0.37, modulus_ratio=1.0) == pytest.approx(0.37)
+    assert volume_preserving_ratio(poisson_ratio=0.49, modulus_ratio=4.0) == pytest.approx(0.97 - 0.48 / 4.0)
 
 
 def test_fibres_of_any_length_turn_the_third_axis():

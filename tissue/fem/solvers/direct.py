@@ -44,23 +44,27 @@ class DirectSolver:
         The stiffness and what holds it.
     last
         Nodes that are eliminated last, so that the compliance between them can be read off the factor.
+    definite
+        Refuse a stiffness that is not positive definite, instead of leaving it to SuperLU.
 
     Raises
     ------
     InputError
         If the matrix cannot be factorised.
+    NotPositiveDefiniteError
+        If the matrix is not positive definite and `definite` is set.
     """
 
     tolerance = 1e-8
 
-    def __init__(self, body: HeldBody, *, last: Ints | None = None) -> None:
+    def __init__(self, body: HeldBody, *, last: Ints | None = None, definite: bool = False) -> None:
         self.body = body
         self.last = np.zeros(0, dtype=np.int64) if last is None else np.unique(last)
         """Nodes that were eliminated last, rising."""
         blocks = dissected(body.nodes_m, pointwise_graph(body.stiffness))
         if len(self.last):
             blocks = [*(nodes[~np.isin(nodes, self.last)] for nodes in blocks), self.last]
-        self._order, self._matrix, self._factor = factorised(body, blocks)
+        self._order, self._matrix, self._factor = factorised(body, blocks, definite=definite)
         self._position = np.full(3 * len(body.nodes_m), -1)
         self._position[self._order] = np.arange(len(self._order))
 
@@ -94,10 +98,14 @@ class DirectSolver:
         return answers
 
     def compliance_between(self, nodes: Ints) -> Array:
-        """Compliance [m/N] between nodes that were eliminated last, x, y, z node by node, shape (3k, 3k).
+        """Compute the compliance [m/N] between nodes, x, y, z node by node, shape (3k, 3k).
 
-        Zero for held ones. The last block of the factor is that of their Schur complement, inverted.
+        Zero for held nodes. For nodes that were eliminated last it is read off the last block of the factor, which is
+        that of their Schur complement. Other nodes take back-substitutions.
         """
+        if not np.isin(nodes, self.last).all():
+            unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
+            return self.columns(unknowns)[unknowns]
         at = np.searchsorted(self.last, nodes)
         rows = (3 * at[:, None] + np.arange(3)).ravel()
         between: Array = self._compliance_of_last_m_N[np.ix_(rows, rows)]
@@ -112,7 +120,7 @@ class DirectSolver:
         return whole
 
 
-def factorised(body: HeldBody, blocks: list[Ints]) -> tuple[Ints, csc_array, Factor]:
+def factorised(body: HeldBody, blocks: list[Ints], *, definite: bool = False) -> tuple[Ints, csc_array, Factor]:
     """The free unknowns in order of elimination, the matrix between them, and its factor.
 
     Parameters
@@ -121,11 +129,15 @@ def factorised(body: HeldBody, blocks: list[Ints]) -> tuple[Ints, csc_array, Fac
         The stiffness and what holds it.
     blocks
         Nodes that are eliminated together, in order; each node is of one block.
+    definite
+        Refuse a matrix that is not positive definite, instead of leaving it to SuperLU.
 
     Raises
     ------
     InputError
         If the matrix cannot be factorised.
+    NotPositiveDefiniteError
+        If the matrix is not positive definite and `definite` is set.
     """
     free = np.zeros(3 * len(body.nodes_m), dtype=np.bool_)
     free[body.free] = True
@@ -141,7 +153,8 @@ def factorised(body: HeldBody, blocks: list[Ints]) -> tuple[Ints, csc_array, Fac
         with threadpool_limits(1, "blas"):
             return kept, matrix, Multifrontal(matrix, np.cumsum([0, *map(len, parts)]))
     except NotPositiveDefiniteError:
-        pass
+        if definite:
+            raise
     try:
         return kept, matrix, SuperLUFactor(matrix)
     except RuntimeError as problem:

@@ -35,7 +35,9 @@ class SuperLUFactor:
     def inverse_of_last(self, count: int) -> Array:
         """Rows and columns of the inverse that belong to the last unknowns, shape (count, count)."""
         upper = self._factor.U[-count:, -count:].toarray()
-        # S = U^T D^-1 U with D the diagonal of U: its inverse is V D V^T with V the inverse of U, scaled.
-        half = solve_triangular(upper, np.diag(np.sqrt(np.diag(upper))))
-        whole: Array = half @ half.T
+        # S = U^T D^-1 U with D the diagonal of U: its inverse is V D V^T with V the inverse of U.
+        # D has negative entries where the matrix is indefinite.
+        pivots = np.diag(upper)
+        half = solve_triangular(upper, np.diag(np.sqrt(np.abs(pivots))))
+        whole: Array = (half * np.sign(pivots)) @ half.T
         return whole

@@ -71,18 +71,33 @@ class OrganFields:
         self.series = FieldSeries(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names, node_sets=sets)
         self._ends = _edge_ends(space)
         self._kept: list[tuple[float, Array, Array]] = []
+        self.notices: list[str] = []
 
-    def keep(self, time_s: float, force_N: Array, creeping_N: Array) -> None:
-        """Remember what acts on the touchable nodes [N], and the force whose elastic answer is the displacement."""
+    def keep(self, time_s: float, force_N: Array, moved: Array) -> None:
+        """Keep the state of a frame that is due.
+
+        Parameters
+        ----------
+        time_s, force_N
+            Time [s] and forces on the touchable nodes [N], shape (t, 3).
+        moved
+            Force whose elastic answer is the displacement [N]; for a hyperelastic law the displacements of the
+            touchable nodes [m].
+        """
         self.next_s += self.interval_s
-        self._kept.append((time_s, force_N.copy(), creeping_N.copy()))
+        self._kept.append((time_s, force_N.copy(), moved.copy()))
 
     def compute(self) -> None:
         """Solve the frames that were kept."""
         if self._large is not None:
-            for time_s, force, _ in self._kept:
-                moved, stress, reaction = self._large.under(force)
+            for time_s, force, touched in self._kept:
+                moved, stress, reaction = self._large.under(force, touched)
                 self.series.frames.append(self._shown(time_s, moved, stress, stress.strain, reaction))
+            if self._kept and self._large.unsettled:
+                self.notices.append(
+                    f"the law's equilibrium was not reached in {self._large.unsettled} of {self._large.frames} frames: "
+                    "their displacement and stress are approximate"
+                )
             self._kept.clear()
         for first in range(0, len(self._kept), BATCH):
             batch = self._kept[first : first + BATCH]

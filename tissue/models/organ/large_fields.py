@@ -4,10 +4,11 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array, eye_array
 
 from meshes.base.arrays import Array, Ints
 from tissue.fem.fields import StressState
-from tissue.fem.quasi_newton import QuasiNewton
+from tissue.fem.quasi_newton import QuasiNewton, Springs
 from tissue.fem.shapes import gradient_slopes
 from tissue.fem.space import Space
 from tissue.materials.hyperelasticity import Hyperelastic
@@ -45,24 +46,36 @@ class LargeFields:
     ) -> None:
         self._space, self._law, self._cell_factors, self._touchable = space, law, cell_factors, touchable
         self._make = follower
+        self.frames = self.unsettled = 0
+        """Frames so far, and those whose equilibrium was not reached."""
 
     @cached_property
     def _follower(self) -> QuasiNewton:
         return self._make()
 
-    def under(self, forces_N: Array) -> tuple[Array, StressState, Array]:
-        """Displacement [m], stress in the middle of each cell, and reaction of the supports [N], both (n, 3).
+    def under(self, forces_N: Array, moved_m: Array) -> tuple[Array, StressState, Array]:
+        """Compute displacement [m], stress in the middle of each cell, and reaction of the supports [N], both (n, 3).
 
         Parameters
         ----------
         forces_N
-            On the touchable nodes, shape (t, 3).
+            Forces on the touchable nodes [N], shape (t, 3).
+        moved_m
+            Displacements of the touchable nodes in the tick of these forces [m], shape (t, 3).
         """
         load = np.zeros((self._space.node_count, 3))
         load[self._touchable] = forces_N
-        found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS)
+        springs, loaded = None, np.flatnonzero(forces_N.any(axis=1))
+        if len(loaded):
+            nodes = self._touchable[loaded]
+            between = self._follower.at_rest.compliance_between(nodes)
+            shares = csr_array(eye_array(self._space.node_count, format="csr")[nodes])
+            springs = Springs.holding(shares, np.diag(between).reshape(-1, 3).mean(axis=1), moved_m[loaded])
+        found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS, springs=springs)
+        self.frames += 1
+        self.unsettled += found.residual > TOLERANCE
         stress = cauchy_stress(self._space, found.displacement_m, self._law, self._cell_factors)
-        return found.displacement_m, stress, found.internal_N - load
+        return found.displacement_m, stress, found.internal_N - found.load_N
 
 
 def cauchy_stress(space: Space, displacement_m: Array, law: Hyperelastic, cell_factors: Array) -> StressState:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron
 
 from meshes.base.arrays import Array
-from tissue.fem.quasi_newton import QuasiNewton
+from tissue.fem.quasi_newton import QuasiNewton, Springs
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.tissue_model import SLOW
 
@@ -74,7 +74,7 @@ class LawOffset:
         self, follower: QuasiNewton, fixed: NDArray[np.bool_], transfer: csr_array, *, interval_s: float
     ) -> None:
         self._follower, self._fixed = follower, fixed
-        self._spread = csr_array(transfer.T)
+        self._transfer, self._spread = transfer, csr_array(transfer.T)
         self._nodes = np.unique(transfer.indices)
         self._near = csr_array(transfer[:, self._nodes])
         self._each = csr_array(kron(self._near, np.eye(3)))
@@ -88,7 +88,9 @@ class LawOffset:
         self._at_rest: Array | None = None
         self._changed_s, self._next_s = 0.0, interval_s
         self.notices: list[str] = []
-        self._unsettled = self._late = False
+        self.solves = self.unsettled = 0
+        """Solves so far, and those whose equilibrium was not reached."""
+        self._late = False
 
     def offset_m(self, time_s: float, depth_m: float) -> Array:
         """The offset of the touchable nodes now [m], shape (t, 3), the same array each time."""
@@ -112,17 +114,18 @@ class LawOffset:
         """Where an interval ends, find the equilibrium of the forces of a contact, and how it goes on from there."""
         if time_s < self._next_s - 1e-9:
             return
-        started = perf_counter()
+        started, indefinite = perf_counter(), self.indefinite
         load = self._spread @ contact.result.nodal_forces_N
-        found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS)
-        forces, moved = load[self._nodes], found.displacement_m[self._nodes]
+        springs = self._springs(contact.result.nodal_forces_N, load)
+        found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS, springs=springs)
+        forces, moved = found.load_N[self._nodes], found.displacement_m[self._nodes]
         self._now.into(expected := np.zeros_like(self._offset), depth_m, 1.0)
         missed = float(np.linalg.norm(self._off(moved, forces) - expected))
         if self._follower.factor is self._factor and missed > MISSED * float(np.linalg.norm(self._near @ moved)):
             self._follower.take_stiffness()
         if self._follower.factor is not self._factor:
             self._change_compliance(contact, forces, depth_m)
-        left = np.where(self._fixed, 0.0, load - found.internal_N)
+        left = np.where(self._fixed, 0.0, found.load_N - found.internal_N)
         moved = (found.displacement_m + self._factor.solve(left).displacement_m)[self._nodes]
         offset = self._off(moved, forces)
         last_m, *last = self._apart
@@ -132,7 +135,17 @@ class LawOffset:
             self._apart = (depth_m, moved, forces)
         self._before, self._now = self._now, _Line(offset, slope, depth_m, reach_m)
         self._changed_s, self._next_s = time_s, time_s + self.interval_s
-        self._report(found.residual, perf_counter() - started)
+        self._report(found.residual, perf_counter() - started, first=indefinite == 0)
+
+    def _springs(self, forces_N: Array, load_N: Array) -> Springs:
+        """Build springs that hold the nodes under the tool near the places that the last contact gave them."""
+        loaded = np.flatnonzero(forces_N.any(axis=1))
+        if not len(loaded):
+            return Springs.none(self._fixed.size)
+        held_m = self._near @ (self._between @ load_N[self._nodes].ravel()).reshape(-1, 3) + self._offset
+        near = csr_array(kron(self._near[loaded], np.eye(3)))
+        compliance = np.asarray((near.multiply((self._rest @ near.T).T)).sum(axis=1)).reshape(-1, 3).mean(axis=1)
+        return Springs.holding(self._transfer[loaded], compliance, held_m[loaded])
 
     def _off(self, moved_m: Array, forces_N: Array) -> Array:
         """Offset of the touchable nodes [m] by displacements of the solved nodes under forces on them."""
@@ -152,9 +165,21 @@ class LawOffset:
         at_m += self._near @ ((before - self._between) @ forces_N.ravel()).reshape(-1, 3)
         self._now = _Line(at_m, self._now.slope, depth_m, self._now.reach_m)
 
-    def _report(self, residual: float, took_s: float) -> None:
-        if residual > TOLERANCE and not self._unsettled:
-            self._unsettled = True
+    @property
+    def indefinite(self) -> int:
+        """Number of tangents so far that were not positive definite."""
+        return self._follower.indefinite
+
+    def _report(self, residual: float, took_s: float, *, first: bool) -> None:
+        """Count the solve, and report what happens for the first time."""
+        self.solves += 1
+        self.unsettled += residual > TOLERANCE
+        if first and self.indefinite:
+            self.notices.append(
+                "the tangent stiffness of organ.law is not positive definite: only the tool keeps the tissue from "
+                "giving way. It was replaced by a stiffer one; check the force here against a finer mesh"
+            )
+        if residual > TOLERANCE and self.unsettled == 1:
             self.notices.append(
                 f"the law's equilibrium was not reached in {STEPS} steps: {residual:.0%} of the greatest nodal force "
                 "is not balanced"

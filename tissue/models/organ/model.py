@@ -29,7 +29,6 @@ from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.contact_result import ContactOutcome
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.law_offset import LawOffset
-from tissue.models.organ.law_reduced import LawReduced
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 
 __all__ = ["LiverModel"]
@@ -77,7 +76,7 @@ class LiverModel:
         fields: OrganFields,
         prony: Prony | None = None,
         lazy: LazyCompliance | None = None,
-        law: LawOffset | LawReduced | None = None,
+        law: LawOffset | None = None,
         ball_radius_m: float | None = None,
         step_s: float = TICK_S,
     ) -> None:
@@ -170,16 +169,28 @@ class LiverModel:
         """Keep the forces where a frame is due."""
         if time_s >= self._fields.next_s - 1e-9:
             force = self.contact.result.nodal_forces_N
-            self._fields.keep(time_s, force, force if self._creep is None else self._crept_N)
+            moved = self._crept_N if self._creep is not None else force
+            self._fields.keep(time_s, force, moved if self._law is None else self.displacement_m())
 
     def finish(self) -> None:
         """Compute the fields of the frames."""
         if self._lazy is not None:
             self._lazy.stop()
-        if isinstance(self._law, LawReduced):
-            self._law.finish()
-            self.notices += self._law.notices
         self._fields.compute()
+        self.notices += self._fields.notices
+        self._fields.notices.clear()
+
+    def summary(self) -> dict[str, object]:
+        """Return the figures of a hyperelastic law for the run's summary; empty for a linear organ."""
+        if self._law is None:
+            return {}
+        return {
+            "law": {
+                "solves": self._law.solves,
+                "not_reached": self._law.unsettled,
+                "indefinite_tangents": self._law.indefinite,
+            }
+        }
 
     @property
     def law_note(self) -> str:

@@ -250,9 +250,7 @@ class SoftOrgan:
         )
         surface_law = None
         if law is not None:
-            surface_law = law_offset_of(
-                self, law, touchable, contact, tips_m=tips_m, rotations=rotations, report=report
-            )  # fmt: skip
+            surface_law = law_offset_of(self, law, touchable)
         radius = probe.radius_m if isinstance(probe, SphereProbe) else None
         model = LiverModel(
             contact,

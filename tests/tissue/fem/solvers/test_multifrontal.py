@@ -175,6 +175,24 @@ def test_an_indefinite_stiffness_is_left_to_superlu():
     exact = body.whole(spsolve(inner, body.right_side(load)))
     np.testing.assert_allclose(found.displacement_m, exact, rtol=0, atol=1e-8 * np.abs(exact).max())
     assert found.outcome is not SolverOutcome.INACCURATE
+    with pytest.raises(NotPositiveDefiniteError):
+        DirectSolver(indefinite, definite=True)
+
+
+def test_the_compliance_between_nodes_is_that_of_the_inverse():
+    """Of a definite and an indefinite stiffness, for nodes that were eliminated last and for others."""
+    body = body_of()
+    count = 3 * len(body.nodes_m)
+    shifted = body.stiffness.tocsr() - csc_array((np.full(count, 20.0), (range(count), range(count)))).tocsr()
+    nodes = np.flatnonzero(~body.fixed.any(axis=1))[:7]
+    for stiffness in (body.stiffness, shifted.tobsr((3, 3))):
+        inverse = np.zeros((count, count))
+        inverse[np.ix_(body.free, body.free)] = np.linalg.inv(stiffness.toarray()[np.ix_(body.free, body.free)])
+        rows = (3 * nodes[:, None] + np.arange(3)).ravel()
+        wanted = inverse[np.ix_(rows, rows)]
+        for last in (nodes, nodes[:2]):
+            found = DirectSolver(HeldBody(stiffness, body.nodes_m, body.fixed), last=last).compliance_between(nodes)
+            np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * np.abs(wanted).max())
 
 
 def test_superlu_answers_as_the_multifrontal_factor():
