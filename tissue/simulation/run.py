@@ -127,7 +127,7 @@ class Run:
     @property
     def summary(self) -> Summary:
         """Figures of the run: volumes per layer, forces, tick cost, deadlines, scheduling, notes, machine."""
-        trace, tissue = self.trace, self.parts.tissue
+        trace, tissue, limit = self.trace, self.parts.tissue, self.parts.motion.feed_limit
         contact = trace["contact_mm2"] > 0.0
         force = np.linalg.norm(trace.vectors("model_force", "N"), axis=1)
         torque = np.linalg.norm(trace.vectors("model_torque", "Nm"), axis=1)
@@ -155,6 +155,7 @@ class Run:
             **(self.scheduling.summary(ticks_s=exposed_s) if self.scheduling is not None else {}),
             **({} if self.parts.keep_clear is None else {"keep_clear": self.parts.keep_clear.summary()}),
             **({"enhancement": enhancement_cost(trace)} if ENHANCED[0] in trace.columns else {}),
+            **({} if limit is None else {"feed_limit": asdict(limit)}),
             **({"break_through": list(map(asdict, self.break_throughs))} if self.break_throughs else {}),
             "events": [{"time_s": time, "what": what} for time, what in self.events],
             "compute": self._compute,
