@@ -13,7 +13,7 @@ from tissue.cutters.profile import ball_burr, cylinder
 from tissue.materials.constants import CuttingCoefficients, cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
-from tissue.motion.motion import PushAlongAxis, implicit_speed
+from tissue.motion.thrust import PushAlongAxis, implicit_speed
 
 BONE = cutting_coefficients("bone")
 SHARP = replace(BONE, tangential_edge_N_m=0.0, radial_edge_N_m=0.0, axial_edge_N_m=0.0)

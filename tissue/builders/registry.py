@@ -8,8 +8,9 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress
 from tissue.builders.own_constants import note_own_constants
 from tissue.builders.parts import Parts
-from tissue.motion.motion import FollowPath, Motion, PushAlongAxis
+from tissue.motion.motion import FollowPath, Motion
 from tissue.motion.replay import ReplayPoses, read_replay
+from tissue.motion.thrust import PushAlongAxis
 from tissue.scene.named_parts import loaded
 from tissue.scene.registry import ANATOMIES, MOTIONS
 from tissue.scene.scene import Scene

@@ -15,7 +15,7 @@ from tissue.cutters import ball_burr
 from tissue.environments.environment import ContactEnvironment, Entry
 from tissue.environments.restorable_bone import RestorableBone
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
-from tissue.motion.motion import implicit_speed
+from tissue.motion.thrust import SpeedSearch, implicit_speed
 
 __all__ = ["Drilling"]
 
@@ -89,6 +89,7 @@ class Drilling(ContactEnvironment):
         self._materials = materials
         self.motion = ToolMotion()
         self.surface_m = self.wanted_m = self._speed = self._deepest_m = 0.0
+        self._search = SpeedSearch()
         self._response: Response | None = None
 
     @cached_property
@@ -126,21 +127,14 @@ class Drilling(ContactEnvironment):
     def _tick(self, command: Array) -> Array:
         motion, thrust = self.motion, self.thrust_N * float(command[0])
         assert self._response is not None
-        resistance, edge = self._response.resistance[2], max(float(self._response.edge[2]), 0.0)
-        damping = self.thrust_N / TOP_SPEED_M_S
-        down = self._speed > 0.0 or thrust > 0.0
-        speed = implicit_speed(
-            self._speed,
-            thrust=thrust - (edge if down else 0.0),
-            drag=damping + (max(float(resistance), 0.0) if down else 0.0),
-            mass=HAND_KG,
-            step_s=TICK_S,
-        )
-        if down and self._speed >= 0.0 and thrust >= 0.0:
-            speed = max(speed, 0.0)
-        highest = (self.surface_m + CEILING_M - motion.tip_m[2]) / TICK_S
-        self._speed = min(max(speed, -TOP_SPEED_M_S, -highest), TOP_SPEED_M_S)
-        motion.tip_m[2] -= self._speed * TICK_S
+        before, top_m = self._speed, float(motion.tip_m[2])
+        down = before > 0.0 or thrust > 0.0
+        self._speed = self._balanced(before, thrust, down=down)
+        if down and self._speed > 0.0:
+            self._speed = self._speed_down(before, thrust, top_m)
+        else:
+            motion.tip_m[2] = top_m - self._speed * TICK_S
+        edge = max(float(self._response.edge[2]), 0.0)
         motion.speed_m_s = abs(self._speed)
         motion.pressed = min(thrust / edge, 1.0) if self._speed == 0.0 and thrust > 0.0 and edge > 0.0 else 0.0
         motion.heading[0, 2] = 1.0 if self._speed < 0.0 else -1.0
@@ -149,6 +143,34 @@ class Drilling(ContactEnvironment):
         self._response = self.bone.model.respond(motion)
         self._deepest_m = max(self._deepest_m, self.depth_m)
         return self._response.wrench
+
+    def _speed_down(self, before: float, thrust: float, top_m: float) -> float:
+        """Bring the bur down to where the bone's force balances the thrust, and return its speed there [m/s]."""
+        search, motion = self._search, self.motion
+        search.begin(self._speed, highest=TOP_SPEED_M_S)
+        motion.heading[0, 2] = -1.0
+        while True:
+            motion.tip_m[2] = top_m - search.tried * TICK_S
+            self._response = self.bone.model.respond(motion)
+            balanced = max(self._balanced(before, thrust, down=True), 0.0)
+            if search.accepts(balanced):
+                return balanced
+
+    def _balanced(self, before: float, thrust: float, *, down: bool) -> float:
+        """Return the speed that balances thrust, inertia, damping and the force of the bone as last evaluated [m/s]."""
+        assert self._response is not None
+        edge, drag = max(float(self._response.edge[2]), 0.0), max(float(self._response.resistance[2]), 0.0)
+        speed = implicit_speed(
+            before,
+            thrust=thrust - (edge if down else 0.0),
+            drag=self.thrust_N / TOP_SPEED_M_S + (drag if down else 0.0),
+            mass=HAND_KG,
+            step_s=TICK_S,
+        )
+        if down and before >= 0.0 and thrust >= 0.0:
+            speed = max(speed, 0.0)
+        highest = (self.surface_m + CEILING_M - float(self.motion.tip_m[2])) / TICK_S
+        return min(max(speed, -TOP_SPEED_M_S, -highest), TOP_SPEED_M_S)
 
     @property
     def depth_m(self) -> float:

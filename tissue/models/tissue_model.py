@@ -16,6 +16,7 @@ __all__ = [
     "Finishes",
     "FreeSpace",
     "HasFields",
+    "HasHeat",
     "HasNotices",
     "HasSummary",
     "HasVoxels",
@@ -174,6 +175,15 @@ class HasFields(Protocol):
     @property
     def fields(self) -> FieldSeries | None:
         """Frames so far; None where the scene asks for none."""
+
+
+@runtime_checkable
+class HasHeat(Protocol):
+    """A tissue that is warmed by cutting."""
+
+    @property
+    def heat_balance_J(self) -> dict[str, float] | None:
+        """Energy of cutting and where it went [J], by what took it; None where the scene asks for no heat."""
 
 
 @runtime_checkable

@@ -1,5 +1,6 @@
-"""What moves the tool: given feed or given thrust; rotations of a tool, matrices, as quaternions (x, y, z, w)."""
+"""Motion of a tool along a given path; rotations of a tool, matrices, as quaternions (x, y, z, w)."""
 
+from dataclasses import dataclass
 from math import sqrt
 from typing import Protocol
 
@@ -9,11 +10,30 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
 
-__all__ = ["LONGEST_S", "FollowPath", "Motion", "PushAlongAxis", "frame_along", "matrix_of", "quaternion_of"]
+__all__ = ["LONGEST_S", "FeedLimit", "FollowPath", "Motion", "frame_along", "matrix_of", "quaternion_of"]
 
 Array = NDArray[np.float64]
 LONGEST_S = 3600.0
 """Longest motion of a run [s]."""
+
+
+@dataclass(frozen=True)
+class FeedLimit:
+    """Time for which the feed limit, and not the thrust, set the speed of a tool in contact.
+
+    Attributes
+    ----------
+    max_feed_mm_s
+        The limit.
+    active_s
+        Time in contact with the limit active; the tissue then resists with less than the thrust.
+    first_s
+        When it was first active; None if it never was.
+    """
+
+    max_feed_mm_s: float
+    active_s: float
+    first_s: float | None
 
 
 class Motion(Protocol):
@@ -29,6 +49,13 @@ class Motion(Protocol):
     """Their values at the present tick."""
     model_ticks: int = 1
     """Ticks for which one answer of the tissue holds."""
+    balances: bool = False
+    """Whether the pose follows from the force at that very pose; `correct` then searches for it before a cut is made."""
+
+    @property
+    def feed_limit(self) -> FeedLimit | None:
+        """Time for which a limit of the feed, and not a thrust, set the speed; None for a motion without a thrust."""
+        return None
 
     def sweep_m(self) -> Array:
         """Tip positions that outline where the tool can go [m], shape (n, 3)."""
@@ -47,7 +74,10 @@ class Motion(Protocol):
         ...
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Move the tool once more within the tick, if the answer to its new pose asks for that; whether it did."""
+        """Move the tool once more within the tick, if the answer to its new pose asks for that; whether it did.
+
+        A motion that `balances` is asked until it returns False.
+        """
         return False
 
     def play(self, response: Response) -> None:
@@ -154,82 +184,3 @@ class FollowPath(Motion):
         motion.heading[0] = heading
         motion.tip_m[:] = self._starts[self._leg] + heading * (self._feed * (time_s - self._begins_s[self._leg]))
         motion.speed_m_s = self._feed
-
-
-class PushAlongAxis(Motion):
-    """Force-driven: a thrust pushes the tool down its axis; the feed follows from the balance with the cutting force.
-
-    The cutting force grows so fast with the feed (up to 1e5 N s/m) that an explicit step is unstable for steps longer
-    than 2 m / c; the balance is solved for the new speed instead::
-
-        m (v' - v) / dt = thrust - c v' - edge,    v' in [0, greatest feed]
-
-    Below the edge force the tool stays where it is and the bone answers the thrust.
-
-    Parameters
-    ----------
-    start_m
-        Where the tip starts [m].
-    axis
-        Direction from tip to shank; the tool moves against it.
-    thrust_N, mass_kg, max_feed_m_s
-        Push, moving mass and greatest feed.
-    depth_m
-        Coordinate along ``-axis`` from the site's origin at which the feed stops [m].
-    """
-
-    def __init__(
-        self,
-        start_m: Array,
-        *,
-        axis: tuple[float, float, float],
-        thrust_N: float,
-        mass_kg: float,
-        max_feed_m_s: float,
-        depth_m: float,
-    ) -> None:
-        self._rotation = frame_along(axis)
-        self._heading = -self._rotation[:, 2]
-        self._thrust, self._mass, self._max_feed = thrust_N, mass_kg, max_feed_m_s
-        self._start = np.asarray(start_m, dtype=float)
-        self._travel = 0.0
-        self._longest = depth_m - float(self._start @ self._heading)
-        if self._longest <= 0.0:
-            raise InputError(
-                f"motion.depth_mm must be greater than the depth of motion.start_mm along the feed "
-                f"({1e3 * float(self._start @ self._heading):g}), got {1e3 * depth_m:g}: start higher or go deeper"
-            )
-        self._speed = 0.0
-        self.duration_s = 4.0 * self._longest / max_feed_m_s
-
-    def sweep_m(self) -> Array:
-        """Start and deepest position [m]."""
-        return np.stack([self._start, self._start + self._longest * self._heading])
-
-    def rotations(self) -> Array:
-        """The fixed orientation at both."""
-        return np.broadcast_to(self._rotation, (2, 3, 3))
-
-    def begin(self, motion: ToolMotion) -> None:
-        """Begin at the start."""
-        motion.tip_m[:], motion.rotation[:] = self._start, self._rotation
-        motion.heading[0] = self._heading
-
-    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Solve the balance along the axis for the new speed and move."""
-        drag = max(-float(response.resistance[:3].dot(self._heading)), 0.0)
-        edge = max(-float(response.edge[:3].dot(self._heading)), 0.0)
-        self._speed = implicit_speed(self._speed, thrust=self._thrust - edge, drag=drag, mass=self._mass, step_s=step_s)
-        self._speed = max(min(self._speed, self._max_feed, (self._longest - self._travel) / step_s), 0.0)
-        self._travel += self._speed * step_s
-        motion.rotation[:] = self._rotation
-        motion.tip_m[:] = self._start + self._travel * self._heading
-        motion.heading[0] = self._heading
-        motion.speed_m_s = self._speed
-        stuck = self._speed == 0.0 and self._travel < self._longest and edge > 0.0
-        motion.pressed = min(self._thrust / edge, 1.0) if stuck else 0.0
-
-
-def implicit_speed(speed: float, *, thrust: float, drag: float, mass: float, step_s: float) -> float:
-    """Speed [m/s] one implicit Euler step later of a mass under ``thrust`` [N] and a viscous ``drag`` [N s/m]."""
-    return (mass * speed / step_s + thrust) / (mass / step_s + drag)

@@ -17,7 +17,7 @@ from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
 from tissue.haptics.hand_measures import ENHANCED
-from tissue.models.tissue_model import TICK_S, HasSummary, HasVoxels
+from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
 from tissue.scene.scene import Scene
 from tissue.simulation.break_through import BreakThrough
 from tissue.simulation.enhancement_cost import enhancement_cost
@@ -127,7 +127,8 @@ class Run:
     @property
     def summary(self) -> Summary:
         """Figures of the run: volumes per layer, forces, tick cost, deadlines, scheduling, notes, machine."""
-        trace, tissue = self.trace, self.parts.tissue
+        trace, tissue, limit = self.trace, self.parts.tissue, self.parts.motion.feed_limit
+        heat_J = tissue.heat_balance_J if isinstance(tissue, HasHeat) else None
         contact = trace["contact_mm2"] > 0.0
         force = np.linalg.norm(trace.vectors("model_force", "N"), axis=1)
         torque = np.linalg.norm(trace.vectors("model_torque", "Nm"), axis=1)
@@ -155,6 +156,8 @@ class Run:
             **(self.scheduling.summary(ticks_s=exposed_s) if self.scheduling is not None else {}),
             **({} if self.parts.keep_clear is None else {"keep_clear": self.parts.keep_clear.summary()}),
             **({"enhancement": enhancement_cost(trace)} if ENHANCED[0] in trace.columns else {}),
+            **({} if heat_J is None else {"heat_J": heat_J}),
+            **({} if limit is None else {"feed_limit": asdict(limit)}),
             **({"break_through": list(map(asdict, self.break_throughs))} if self.break_throughs else {}),
             **(tissue.summary() if isinstance(tissue, HasSummary) else {}),
             "events": [{"time_s": time, "what": what} for time, what in self.events],

@@ -69,6 +69,7 @@ class Tick:
         self._rotation, self._quaternion = b"", np.zeros(4)
         carves = parts.cutter is not None and parts.cutter.spin_rad_s != 0.0
         self._log = PoseLog(len(trace.rows)) if carves else None
+        self._balances = carves and parts.motion.balances
 
     @property
     def poses(self) -> NDArray[np.float64] | None:
@@ -89,17 +90,21 @@ class Tick:
         """Run one tick and record its trace and timings in row `index`."""
         start = perf_counter()
         self._motion.advance(index * TICK_S, TICK_S, self._response, self.tool)
-        moved = removed = perf_counter()
+        moved = searched = removed = perf_counter()  # where the model rests, all three stay alike
         response = self._response
         if index % self._model_ticks == 0:
+            if self._balances:
+                response = self._response = self._balance()
+                searched = perf_counter()
             self._tissue.advance(self.tool)
             self._keep(index)
             removed = perf_counter()
-            response = self._response = self._tissue.respond(self.tool)
-            if self._motion.correct(response, self.tool):
-                self._tissue.advance(self.tool)
-                self._keep(index)
+            if not self._balances:
                 response = self._response = self._tissue.respond(self.tool)
+                if self._motion.correct(response, self.tool):
+                    self._tissue.advance(self.tool)
+                    self._keep(index)
+                    response = self._response = self._tissue.respond(self.tool)
         self._motion.play(response)
         if self._clear is not None:
             self._clear.measure(self.tool)
@@ -114,11 +119,22 @@ class Tick:
         self._times[index, : len(TIMING_COLUMNS)] = (
             (end - start) * 1e6,
             (moved - start) * 1e6,
-            (removed - moved) * 1e6,
-            (forced - removed) * 1e6,
+            (removed - searched) * 1e6,
+            (forced - removed + searched - moved) * 1e6,
             (recorded - forced) * 1e6,
             (end - recorded) * 1e6,
         )
+
+    def _balance(self) -> Response:
+        """Return the force at the pose where it balances what pushes the tool.
+
+        Poses are tried before the bone there is cut: a pose that is not kept must remove nothing. The cutting force
+        depends on the bone as it was before the present pass, so that it is the same before and after the cut.
+        """
+        response = self._tissue.respond(self.tool)
+        while self._motion.correct(response, self.tool):
+            response = self._tissue.respond(self.tool)
+        return response
 
     def _keep(self, index: int) -> None:
         if self._log is not None:

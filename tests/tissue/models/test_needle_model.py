@@ -12,7 +12,7 @@ from tissue import InputError
 from tissue.models.needle.model import NeedleModel
 from tissue.models.needle.parameters import needle_tissue, vessel_wall
 from tissue.models.tissue_model import HasVoxels, ToolMotion
-from tissue.motion.motion import PushAlongAxis
+from tissue.motion.thrust import PushAlongAxis
 
 STEP_S = 1e-3
 NEEDLE_M = 1.27e-3

@@ -6,9 +6,10 @@ from scipy.spatial.transform import Rotation
 
 from tissue import InputError
 from tissue.models.tissue_model import Response, ToolMotion
-from tissue.motion.motion import FollowPath, PushAlongAxis, frame_along, matrix_of, quaternion_of
+from tissue.motion.motion import FollowPath, frame_along, matrix_of, quaternion_of
 from tissue.motion.quaternion import turn_between
 from tissue.motion.replay import ReplayPoses, read_replay
+from tissue.motion.thrust import PushAlongAxis
 
 STEP_S = 1e-3
 Z = (0.0, 0.0, 1.0)

@@ -14,7 +14,7 @@ from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, boundary, 
 from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
-from tissue.motion.motion import PushAlongAxis, implicit_speed
+from tissue.motion.thrust import PushAlongAxis, implicit_speed
 from tissue.scene.load import load_scene
 
 __all__ = ["PAGE"]

@@ -16,10 +16,82 @@ from tissue.models.bone.elements import edge_lengths_m, levers_of
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
 
-__all__ = ["COEFFICIENTS", "EngagedBone"]
+__all__ = ["COEFFICIENTS", "EngagedBone", "EngagedElements"]
 
 COEFFICIENTS = 6
 """Tangential, radial and axial chip, then edge coefficients."""
+
+
+class EngagedElements:
+    """Find which elements of a cutter meet bone, and what bone.
+
+    Parameters
+    ----------
+    bone
+        The model whose cutter and bone they are.
+    device
+        Warp device name.
+    cores
+        Processor cores to split large launches over; default all.
+    """
+
+    def __init__(self, bone: BoneModel, *, device: str = "cpu", cores: int | None = None) -> None:
+        self.bone = bone
+        self._edges = edge_lengths_m(bone.shell, bone.cutter)
+        chunks = -(-len(self._edges) // CHUNK)
+        padded = -(-len(self._edges) // LANES) * LANES
+        kinds = wp.float32, wp.float32, wp.int32, wp.int32
+        self._found = [Mirror(padded, dtype=kind, device=device) for kind in kinds]
+        store = bone.store
+        self._launch = SplitLaunch(
+            engaged_elements,
+            dim=chunks,
+            inputs=[
+                bone.carver.tool,
+                bone.elements,
+                bone.motion_rows,
+                store.grid.spacing_m,
+                0,
+                store.brick_of,
+                store.material,
+                store.nearby,
+                store.older,
+                store.alive,
+            ],
+            outputs=[
+                wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device),
+                *(each.device for each in self._found),
+            ],
+            offset_index=4,
+            device=device,
+            cores=cores,
+        )
+
+    def find(self, motion: ToolMotion) -> tuple[Array, ...]:
+        """Return, of every element, the share that cuts, the advance per unit of speed, the layer and the density."""
+        self.bone.take(motion)
+        self._launch()
+        for each in self._found:
+            each.pull()
+        return tuple(each.host for each in self._found)
+
+    def cutting(self, motion: ToolMotion) -> tuple[Array, Array, Array]:
+        """Return where the cutter cuts: points in the world [m], normals out of the cutter, and relative powers.
+
+        The power of an element is its tangential force times its speed, which is the spin times its radius.
+        """
+        share, advance, layer, density = self.find(motion)
+        met = np.flatnonzero(share)
+        shell, cutter, coefficients = self.bone.shell, self.bone.cutter, self.bone.coefficients
+        chip = np.array([each.tangential_chip_Pa for each in coefficients])[layer[met]]
+        edge = np.array([each.tangential_edge_N_m for each in coefficients])[layer[met]]
+        reference = np.array([each.reference_density_kg_m3 for each in coefficients])[layer[met]]
+        exponent = np.array([each.density_exponent for each in coefficients])[layer[met]]
+        thickness = cutter.chip_per_speed_s * motion.speed_m_s * advance[met].astype(np.float64)
+        strength = (density[met] / reference) ** exponent
+        powers = shell.radii_m[met] * self._edges[met] * share[met] * strength * (chip * thickness + edge)
+        points = motion.tip_m + shell.points_m[met] @ motion.rotation.T
+        return points, shell.normals[met] @ motion.rotation.T, powers
 
 
 class EngagedBone:
@@ -55,34 +127,7 @@ class EngagedBone:
         self._response = Response.empty(len(self.layer_names))
         shell, cutter = bone.shell, bone.cutter
         self._areas, self._edges, self._levers = shell.areas_m2, edge_lengths_m(shell, cutter), levers_of(shell, cutter)
-        chunks = -(-len(self._areas) // CHUNK)
-        padded = -(-len(self._areas) // LANES) * LANES
-        kinds = wp.float32, wp.float32, wp.int32, wp.int32
-        self._found = [Mirror(padded, dtype=kind, device=device) for kind in kinds]
-        store = bone.store
-        self._launch = SplitLaunch(
-            engaged_elements,
-            dim=chunks,
-            inputs=[
-                bone.carver.tool,
-                bone.elements,
-                bone.motion_rows,
-                store.grid.spacing_m,
-                0,
-                store.brick_of,
-                store.material,
-                store.nearby,
-                store.older,
-                store.alive,
-            ],
-            outputs=[
-                wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device),
-                *(each.device for each in self._found),
-            ],
-            offset_index=4,
-            device=device,
-            cores=cores,
-        )
+        self._elements = EngagedElements(bone, device=device, cores=cores)
 
     @property
     def engaged_m2(self) -> Array:
@@ -116,11 +161,7 @@ class EngagedBone:
         response = self._response
         if not self.asked:
             return response
-        self.bone.take(motion)
-        self._launch()
-        for each in self._found:
-            each.pull()
-        share, advance, layer, density = (each.host for each in self._found)
+        share, advance, layer, density = self._elements.find(motion)
         met = np.flatnonzero(share)
         engaged = self._areas[met] * share[met]
         lengths, speeds, layers = self._edges[met] * share[met], advance[met].astype(np.float64), layer[met]

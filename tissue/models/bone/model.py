@@ -76,6 +76,7 @@ class BoneModel:
         self._rows = self._motion.host[0], self._motion.host[1:4], self._motion.host[4:6]
         self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
         self.elements = elements_of(self.shell, cutter, spacing_m=spacing, device=device)
+        self.coefficients = coefficients
         self._coefficients = _on_device(coefficients, device=device)
         self._scratch = wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device)
         self._device, self._cores = device, cores

@@ -1,59 +1,191 @@
 """Temperature of a tooth and its pulp under a bur."""
 
+from math import ceil
+
 import numpy as np
 from numpy.typing import NDArray
 
+from kernels.bricks import FULL
+from meshes.base.arrays import Array
 from meshes.voxels.volume import VoxelVolume
 from tissue.materials.scene_constants import Materials
+from tissue.models.bone.bricks import voxels_of
+from tissue.models.bone.engagement import EngagedElements
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import ToolMotion
 from tissue.models.tooth.heat import Conduction
+from tissue.models.tooth.heat_grid import HeatGrid
 
 __all__ = ["PULP_LIMIT_K", "CuttingHeat"]
 
 PULP_LIMIT_K = 5.5
 """Rise of the pulp's temperature that it may not survive (Zach and Cohen 1965)."""
+RECEIVES = 0.5
+"""Heat goes into a cell of the surface that is at least so full; into an emptier one it would not conduct well."""
+DEPTHS = 4
+"""Half cells from the surface inward among which the cell that receives the heat is looked for."""
 
 
 class CuttingHeat:
-    """Heat of cutting in a tooth's voxels.
+    """Heat of cutting in a tooth whose material the bur removes.
 
-    A share of the cutting power goes into the tooth where the bur meets it; chips and spray carry off the rest. The
-    share is a prior of low confidence, and the rise is proportional to it.
+    A share of the cutting power flows into the tooth through the surface that the bur cuts, in proportion to the power
+    of its elements there. The rest leaves with chips, spray and bur. Material that is removed later takes along the
+    heat that has reached it by then. The share is a prior of low confidence; the rise is proportional to it.
+
+    Work is done in intervals: `begin` takes energy and cuts of the interval that has ended, and `go_to` spreads the
+    steps over the next one, so that no tick bears them all. The temperature is late by one interval.
 
     Parameters
     ----------
     tooth
-        The whole tooth in coarse voxels.
+        The whole tooth in voxels, which are the cells where the bur can go.
+    milling
+        The finer voxels and the bur.
     reach_m
-        Radius around the tip within which the heat is spread over the solid voxels [m].
+        Lowest and highest corner of the box that the bur can reach [m], shape (3,) each.
     constants
         Thermal constants of the layers.
     device
         Warp device name.
+
+    Attributes
+    ----------
+    field
+        Temperature and material of the cells.
+    cutting_J
+        Energy of cutting so far [J].
     """
 
     def __init__(
-        self, tooth: VoxelVolume, *, reach_m: float, constants: Materials = Materials.cited, device: str = "cpu"
+        self,
+        tooth: VoxelVolume,
+        milling: BoneModel,
+        *,
+        reach_m: tuple[Array, Array],
+        constants: Materials = Materials.cited,
+        device: str = "cpu",
     ) -> None:
-        conductivity, capacity = np.zeros(tooth.shape), np.ones(tooth.shape)
-        for index, name in enumerate(tooth.layer_names):
-            table = constants.constants("tooth", name)
-            here = (tooth.layer == index) & (tooth.fraction > 127)
-            conductivity[here] = table["conductivity_W_mK"].value
-            capacity[here] = table["heat_capacity_J_kgK"].value * table["density_kg_m3"].value
+        self.grid = HeatGrid.of_tooth(tooth, reach_m=reach_m, constants=constants)
+        self.field = Conduction(self.grid, device=device)
+        self.cutting_J = 0.0
         self._share = constants.constants("tooth", "bur")["heat_share"].value
-        self._pulp = (tooth.layer == tooth.layer_names.index("pulp")) & (conductivity > 0.0)
-        self._solid = np.argwhere(conductivity > 0.0)
-        self._centres = tooth.origin_m + tooth.spacing_m * (self._solid + 0.5)
-        self._reach = max(reach_m, tooth.spacing_m)
-        self.field = Conduction(conductivity, capacity, spacing_m=tooth.spacing_m, device=device)
-        self._power = np.zeros(tooth.shape)
+        self._cell_m = tooth.spacing_m
+        self._volume_m3 = self.grid.volumes_m3.reshape(-1)
+        self._conductivity = self.grid.conductivity_W_mK.reshape(-1)
+        self._pulp = np.flatnonzero(self.grid.pulp & (self.grid.filled > 0.0))
+        self._milling = milling
+        self._before = milling.store.remaining.numpy().copy()
+        self._engaged = EngagedElements(milling, device=device)
+        self._power = np.zeros(self.grid.filled.size)
+        self._warmer_K = np.zeros(self.grid.filled.size)
+        self._lost = np.zeros(self.grid.filled.size)
+        self._points_m, self._normals, self._watts = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+        self._steps = self._done = 0
 
-    def advance(self, cutting_energy_J: float, duration_s: float, tip_m: NDArray[np.float64]) -> float:
-        """Put the energy cut since the last call into the tooth; the pulp's highest rise [K] now."""
-        self._power[:] = 0.0
-        if cutting_energy_J > 0.0:
-            distance = np.linalg.norm(self._centres - tip_m, axis=1)
-            near = distance <= max(self._reach, float(distance.min()))
-            self._power[tuple(self._solid[near].T)] = self._share * cutting_energy_J / duration_s / near.sum()
-        self.field.advance(self._power, duration_s)
-        return float(self.field.rise_K[self._pulp].max()) if self._pulp.any() else 0.0
+    @property
+    def pulp_rise_K(self) -> float:
+        """Highest rise of what is left of the pulp [K]."""
+        return float(self.field.rise_K.reshape(-1)[self._pulp].max(initial=0.0))
+
+    @property
+    def balance_J(self) -> dict[str, float]:
+        """Energy of cutting, and where it went: with chips and spray, with removed material, and what is left [J]."""
+        return {
+            "cutting": self.cutting_J,
+            "with_chips_and_spray": (1.0 - self._share) * self.cutting_J,
+            "with_removed_tooth": self.field.removed_J,
+            "left_in_tooth": self.field.stored_J,
+        }
+
+    def begin(
+        self, cutting_J: float, duration_s: float, motion: ToolMotion, cut: tuple[NDArray[np.intp], NDArray[np.uint16]]
+    ) -> None:
+        """Begin an interval with what the last one left to be done.
+
+        Parameters
+        ----------
+        cutting_J
+            Energy that was cut in the interval [J].
+        duration_s
+            Its length [s].
+        motion
+            Pose and motion of the bur at its end.
+        cut
+            Bricks of the finer voxels that lost something, and what is left in them in steps.
+        """
+        self.finish()
+        self.cutting_J += cutting_J
+        self._lost[:] = self._lost_fraction(*cut)
+        self._aim(self._share * cutting_J / duration_s, motion)
+        self._deposit()
+        self._steps, self._done = self.field.plan(duration_s), 0
+
+    def go_to(self, share: float) -> None:
+        """Run the steps up to a share of the interval; what was cut leaves in its middle."""
+        until = ceil(share * self._steps)
+        while self._done < until:
+            if self._done == self._steps // 2:
+                self._remove()
+            self.field.step()
+            self._done += 1
+
+    def finish(self) -> None:
+        """Complete the interval."""
+        self.go_to(1.0)
+
+    def _lost_fraction(self, rows: NDArray[np.intp], left: NDArray[np.uint16]) -> Array:
+        """Fraction of each cell that was cut since the last interval, flat."""
+        store = self._milling.store
+        steps = self._before[rows].astype(np.int64) - left
+        self._before[rows] = left
+        voxels, lost = voxels_of(store.places, rows, steps)
+        size = store.grid.spacing_m
+        corners = store.grid.origin_m + size * voxels
+        return self.grid.share_out(corners, size, lost * (size**3 / FULL)) / self._volume_m3
+
+    def _aim(self, power_W: float, motion: ToolMotion) -> None:
+        """Find where on the tooth the bur cuts, and share the power out among these places."""
+        self._points_m, self._normals, weights = self._engaged.cutting(motion)
+        total = weights.sum()
+        self._watts = weights * (power_W / total) if total > 0.0 else np.zeros(0)
+        if total == 0.0 and power_W > 0.0:  # it has left the tooth since the last cut: into the cell next to it
+            self._points_m, self._normals = motion.tip_m[None].copy(), -motion.rotation[None, :, 2]
+            self._watts = np.array([power_W])
+
+    def _deposit(self) -> None:
+        """Put the power into the cells at the surface, and note how much warmer than its cell the surface is."""
+        power, warmer, filled = self._power, self._warmer_K, self.field.filled.reshape(-1)
+        power[:] = 0.0
+        warmer[:] = 0.0
+        if len(self._watts):
+            depths = 0.5 * self._cell_m * np.arange(DEPTHS)
+            candidates = np.stack([self.grid.cells_at(self._points_m + depth * self._normals) for depth in depths])
+            fills = filled[candidates]
+            first = np.where((fills >= RECEIVES).any(axis=0), (fills >= RECEIVES).argmax(axis=0), fills.argmax(axis=0))
+            at = np.arange(len(self._watts))
+            cells = candidates[first, at]
+            empty = filled[cells] <= 0.0
+            if empty.any():
+                cells[empty] = [self._nearest(point) for point in self._points_m[empty]]
+            power += np.bincount(cells, self._watts, minlength=len(power))
+            # Half the temperature difference across the material of the cell, for a flux that passes all of it.
+            warmer[cells] = 0.5 * power[cells] * filled[cells] / (self._conductivity[cells] * self._cell_m)
+            np.maximum.at(warmer, candidates[0], warmer[cells])
+        self.field.heat(power)
+
+    def _remove(self) -> None:
+        """Take what was cut out of the cells, and put the heat into what is left."""
+        cells = np.flatnonzero(self._lost)
+        if len(cells):
+            self.field.remove(cells, self._lost[cells], self._warmer_K[cells])
+            self._deposit()
+
+    def _nearest(self, point_m: Array) -> int:
+        """Return the filled cell nearest to a point, flat index."""
+        cells = np.argwhere(self.field.filled > 0.0)
+        centres = np.column_stack(
+            [0.5 * (edges[at] + edges[at + 1]) for edges, at in zip(self.grid.edges_m, cells.T, strict=True)]
+        )
+        nearest = cells[np.linalg.norm(centres - point_m, axis=1).argmin()]
+        return int(np.ravel_multi_index(tuple(nearest), self.field.filled.shape))

@@ -17,8 +17,12 @@ from tissue.system.helper import HelperLostError
 
 __all__ = ["ToothModel"]
 
-WARM_EVERY_S = 0.02
-"""Time between two steps of the heat [s]."""
+CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroid_z_um")
+"""Translation of the rigid tooth at the centroid of its stiff material."""
+BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
+"""Motion of the point of the rigid tooth that the bur touches: translation and rotation of the tooth in its ligament."""
+HEAT_TICKS = 20
+"""Ticks of an interval of the heat."""
 WARN_M = (1.0e-3, 0.5e-3)
 """Dentin over the pulp at which its loss is reported [m]; below 0.5 mm it is at risk (memory of the literature)."""
 
@@ -66,12 +70,14 @@ class ToothModel:
         self._reach_m = float(distance.max())
         self._pulp_near = bool(np.isfinite(self._reach_m))
         self.measure_names: tuple[str, ...] = ("dentin_over_pulp_mm",) if self._pulp_near else ()
-        self._moves = slice(len(self.measure_names), len(self.measure_names) + 3)
+        self._moves = slice(len(self.measure_names), len(self.measure_names) + 6)
         if stress is not None:
-            self.measure_names += ("tooth_x_um", "tooth_y_um", "tooth_z_um")
+            self.measure_names += CENTROID_COLUMNS + BUR_COLUMNS
         if heat is not None:
             self.measure_names += ("pulp_rise_K",)
-        self._energy_J, self._pulp_rise_K, self._warmed_s = 0.0, 0.0, 0.0
+        self._energy_J, self._pulp_rise_K, self._heat_ticks = 0.0, 0.0, 0
+        self._motion: ToolMotion | None = None
+        self._touched = np.zeros(len(milling.store.places), dtype=np.bool_)
         self._interval_s, self._next_s, self._late_reported, self._stress_lost = interval_s, 0.0, False, False
         self.notices: list[str] = []
         if stress is not None and stress.root_guessed:
@@ -110,10 +116,12 @@ class ToothModel:
     def place(self, motion: ToolMotion) -> None:
         """Put the bur at its first pose."""
         self.milling.place(motion)
+        self._measure_pulp(motion)
 
     def advance(self, motion: ToolMotion) -> None:
         """Carve what the bur reaches at its new pose."""
         self.milling.advance(motion)
+        self._measure_pulp(motion)
 
     def respond(self, motion: ToolMotion) -> Response:
         """Force and torque on the bur, and the tooth's own measures."""
@@ -122,18 +130,15 @@ class ToothModel:
             self._response = response
             response.measures = np.zeros(len(self.measure_names))
         if self._pulp_near:
-            self._clearance()
-            self._nearest.pull()
-            self._report_pulp(float(np.minimum.reduce(self._nearest.host)))
             response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
         if self.stress is not None:
-            (a, b, c), (x, y, z) = (motion.tip_m - self.stress.reference_m).tolist(), response.wrench[:3].tolist()
             self._load[:] = response.wrench
-            self._load[3:] += (b * z - c * y, c * x - a * z, a * y - b * x)
-            response.measures[self._moves] = -1e6 * self.stress.compliance.matrix[:3].dot(self._load)
+            self._load[3:] += _cross(motion.tip_m - self.stress.reference_m, response.wrench)
+            moved = -1e6 * self.stress.compliance.matrix.dot(self._load)
+            response.measures[self._moves][:3] = moved[:3]
+            response.measures[self._moves][3:] = moved[:3]
+            response.measures[self._moves][3:] += _cross(moved[3:], self._contact(motion) - self.stress.reference_m)
         if self.heat is not None:
-            torque = float(response.wrench[3:].dot(motion.rotation[:, 2]))
-            self._energy_J += abs(torque * self.milling.cutter.spin_rad_s) * TICK_S
             response.measures[-1] = self._pulp_rise_K
         return response
 
@@ -141,6 +146,11 @@ class ToothModel:
     def scheduling(self) -> str:
         """How the stress is solved beside the ticks, in words; empty without stress."""
         return f"stress: {self.stress.scheduling}" if self.stress is not None else ""
+
+    @property
+    def heat_balance_J(self) -> dict[str, float] | None:
+        """Energy of cutting and where it went [J]; None where the scene asks for no heat."""
+        return self.heat.balance_J if self.heat is not None else None
 
     @property
     def fields(self) -> FieldSeries | None:
@@ -154,13 +164,22 @@ class ToothModel:
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Every interval: begin the next solve, on a copy of what changed."""
-        if self.heat is not None and time_s - self._warmed_s >= WARM_EVERY_S - 1e-9:
-            self._warm(time_s, motion)
+        if self.heat is not None:
+            self._warm(motion)
         if self.stress is None or self._stress_lost or time_s < self._next_s - 1e-9:
             return
         self._next_s += self._interval_s
-        rows, left = self.milling.store.take_touched()
+        self._take_touched()
+        rows = np.flatnonzero(self._touched)
+        self._touched[:] = False
+        left = self.milling.store.remaining.numpy()[rows]
         self.stress.begin(Drilled(time_s, rows, left, -self._load[:3], self._contact(motion)))
+
+    def _take_touched(self) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
+        """Return the bricks that lost something since the last call, and remember them for the next solve."""
+        rows, left = self.milling.store.take_touched()
+        self._touched[rows] = True
+        return rows, left
 
     def _contact(self, motion: ToolMotion) -> NDArray[np.float64]:
         """Where the bur's head meets the tooth [m]: on the side from which the force comes, the tip without one."""
@@ -169,12 +188,28 @@ class ToothModel:
         toward = self._load[:3] / force if force > 0.0 else motion.rotation[:, 2]
         return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
 
-    def _warm(self, time_s: float, motion: ToolMotion) -> None:
-        """Put the heat of the last ticks into the tooth."""
+    def _warm(self, motion: ToolMotion) -> None:
+        """Add the energy of the tick, go on with the present interval of the heat, and begin the next one when due."""
+        assert self.heat is not None and self._response is not None
+        self._motion = motion
+        force, torque = self._response.wrench[:3], self._response.wrench[3:]
+        spun = abs(float(torque.dot(motion.rotation[:, 2])) * self.milling.cutter.spin_rad_s)
+        moved, turned = motion.heading
+        fed = -motion.speed_m_s * float(force.dot(moved) + torque.dot(turned))
+        self._energy_J += (spun + max(fed, 0.0)) * TICK_S
+        self._heat_ticks += 1
+        if self._heat_ticks < HEAT_TICKS:
+            self.heat.go_to(self._heat_ticks / HEAT_TICKS)
+            return
+        self._end_interval(motion)
+
+    def _end_interval(self, motion: ToolMotion) -> None:
+        """Complete an interval of the heat, take its result, and begin the next one."""
         assert self.heat is not None
-        before = self._pulp_rise_K
-        self._pulp_rise_K = self.heat.advance(self._energy_J, time_s - self._warmed_s, motion.tip_m)
-        self._energy_J, self._warmed_s = 0.0, time_s
+        self.heat.finish()
+        before, self._pulp_rise_K = self._pulp_rise_K, self.heat.pulp_rise_K
+        self.heat.begin(self._energy_J, self._heat_ticks * TICK_S, motion, self._take_touched())
+        self._energy_J, self._heat_ticks = 0.0, 0
         if before < PULP_LIMIT_K <= self._pulp_rise_K:
             self.notices.append(f"the pulp is {PULP_LIMIT_K:g} K warmer than at the start")
 
@@ -208,6 +243,10 @@ class ToothModel:
             except HelperLostError as lost:
                 self._lose_stress(lost)
         self.milling.finish()
+        if self.heat is not None:
+            if self._motion is not None and self._heat_ticks > 0:
+                self._end_interval(self._motion)
+            self.heat.finish()
 
     def _lose_stress(self, lost: HelperLostError) -> None:
         """Go on without the stress: nothing else comes from the other process once the tooth's compliance is there."""
@@ -218,6 +257,17 @@ class ToothModel:
         """Tooth left in every voxel, 255 = full, shape of the volume."""
         return self.milling.remaining()
 
+    def _measure_pulp(self, motion: ToolMotion) -> None:
+        """Measure the distance to the pulp at a pose where the bur cuts; a pose that is only tried does not count."""
+        if not self._pulp_near:
+            return
+        self.milling.take(motion)
+        self._clearance()
+        self._nearest.pull()
+        self._report_pulp(float(np.minimum.reduce(self._nearest.host)))
+        if self._response is not None:
+            self._response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
+
     def _report_pulp(self, near_m: float) -> None:
         """Keep the least distance and report when a limit or the pulp itself is passed."""
         before, self._least_m = self._least_m, min(self._least_m, near_m)
@@ -226,6 +276,12 @@ class ToothModel:
                 self.notices.append(f"less than {1e3 * limit:g} mm of dentin is left over the pulp")
         if self._least_m <= 0.0 < before:
             self.notices.append("the pulp is exposed")
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return the cross product of two vectors, of each the first three entries; faster than NumPy's."""
+    (ax, ay, az), (bx, by, bz) = a.tolist()[:3], b.tolist()[:3]
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 def _distance_to_pulp(fraction: NDArray[np.uint8], is_pulp: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:

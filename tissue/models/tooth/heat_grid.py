@@ -1,0 +1,178 @@
+"""Rectilinear grid for the temperature of a tooth: fine where the bur can go, coarser away from there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.materials.scene_constants import Materials
+
+__all__ = ["HeatGrid"]
+
+GROWTH = (1, 1, 2, 2, 3, 4, 5, 6)
+"""Voxels that the cells outside the fine part are wide, from there outward; the last goes on."""
+LEAST_FILLED = 0.02
+"""Cells with less material are left out: they hold no heat worth mentioning."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeatGrid:
+    """Cells of a tooth with their material.
+
+    Attributes
+    ----------
+    edges_m
+        Positions of the faces between the cells along x, y and z [m], shapes (nx + 1,), (ny + 1,), (nz + 1,).
+    filled
+        Fraction of each cell that holds material, shape (nx, ny, nz).
+    conductivity_W_mK
+        Thermal conductivity of the material in each cell [W/(m K)], same shape; positive where a cell holds any.
+    heat_capacity_J_m3K
+        Volumetric heat capacity of the material [J/(m3 K)], same shape; positive.
+    pulp
+        Whether most of a cell is pulp, same shape.
+    """
+
+    edges_m: tuple[Array, Array, Array]
+    filled: Array
+    conductivity_W_mK: Array
+    heat_capacity_J_m3K: Array
+    pulp: Array
+
+    @classmethod
+    def of_tooth(cls, tooth: VoxelVolume, *, reach_m: tuple[Array, Array], constants: Materials) -> "HeatGrid":
+        """Merge the voxels of a whole tooth into cells.
+
+        Parameters
+        ----------
+        tooth
+            The whole tooth. Its voxels are the cells of the fine part.
+        reach_m
+            Lowest and highest corner of the box that is to be fine [m], shape (3,) each.
+        constants
+            Thermal constants of the layers.
+        """
+        conductivity, capacity = np.zeros(tooth.shape), np.zeros(tooth.shape)
+        for index, name in enumerate(tooth.layer_names):
+            table = constants.constants("tooth", name)
+            here = tooth.layer == index
+            conductivity[here] = table["conductivity_W_mK"].value
+            capacity[here] = table["heat_capacity_J_kgK"].value * table["density_kg_m3"].value
+        fraction = tooth.fraction / float(FULL)
+        is_pulp = tooth.layer == _index(tooth.layer_names, "pulp")
+        low, high = ((corner - tooth.origin_m) / tooth.spacing_m for corner in reach_m)
+        starts = [_starts(n, a, b) for n, a, b in zip(tooth.shape, low, high, strict=True)]
+        voxels = _merged(np.ones(tooth.shape), starts)
+        held = _merged(fraction, starts)
+        some = np.maximum(held, 1e-12)
+        filled = held / voxels
+        filled[filled < LEAST_FILLED] = 0.0
+        edges = [
+            origin + tooth.spacing_m * np.append(start, n).astype(float)
+            for origin, start, n in zip(tooth.origin_m, starts, tooth.shape, strict=True)
+        ]
+        return cls(
+            (edges[0], edges[1], edges[2]),
+            filled,
+            _merged(fraction * conductivity, starts) / some,
+            np.where(held > 0.0, _merged(fraction * capacity, starts) / some, 1.0),
+            _merged(fraction * is_pulp, starts) > 0.5 * some,
+        )
+
+    @property
+    def widths_m(self) -> tuple[Array, Array, Array]:
+        """Widths of the cells along x, y and z [m]."""
+        x, y, z = (np.diff(edges) for edges in self.edges_m)
+        return x, y, z
+
+    @property
+    def volumes_m3(self) -> Array:
+        """Volumes of the cells [m3], shape (nx, ny, nz)."""
+        x, y, z = self.widths_m
+        return np.asarray(x[:, None, None] * y[:, None] * z)
+
+    def conductances_W_K(self) -> tuple[Array, ...]:
+        """Conductances from each full cell to the next one along x, y and z [W/K], each of the shape of the grid.
+
+        Half cells in series: area / (d / 2k + d' / 2k'). The last plane along each axis is 0.
+        """
+        found = []
+        conductivity = self.conductivity_W_mK
+        for axis, width in enumerate(self.widths_m):
+            d = width.reshape([-1 if at == axis else 1 for at in range(3)])
+            area = self.volumes_m3 / d
+            with np.errstate(divide="ignore"):
+                half = np.moveaxis(0.5 * d / (area * conductivity), axis, 0)  # [K/W], infinite without material
+            along = np.zeros_like(half)
+            along[:-1] = 1.0 / (half[:-1] + half[1:])
+            found.append(np.ascontiguousarray(np.moveaxis(along, 0, axis)))
+        return tuple(found)
+
+    def cells_at(self, points_m: Array) -> Array:
+        """Flat indices of the cells that hold points, shape (n, 3); the nearest cell for a point outside."""
+        at = [
+            np.clip(np.searchsorted(edges, points, side="right") - 1, 0, len(edges) - 2)
+            for edges, points in zip(self.edges_m, points_m.T, strict=True)
+        ]
+        return np.ravel_multi_index(at, self.filled.shape)
+
+    def share_out(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
+        """Share volumes in cubes out among the cells, by the overlap of each cube with each cell.
+
+        Parameters
+        ----------
+        corners_m
+            Corners of the cubes with the lowest coordinates [m], shape (n, 3).
+        size_m
+            Edge of a cube [m], at most that of a cell.
+        volumes_m3
+            Volume that is shared out from each cube [m3], shape (n,).
+
+        Returns
+        -------
+        Volume in each cell [m3], flat.
+        """
+        first, share = [], []
+        for edges, low in zip(self.edges_m, corners_m.T, strict=True):
+            at = np.clip(np.searchsorted(edges, low, side="right") - 1, 0, len(edges) - 2)
+            inside = np.clip((edges[at + 1] - low) / size_m, 0.0, 1.0)
+            inside[at == len(edges) - 2] = 1.0
+            first.append(at)
+            share.append((inside, 1.0 - inside))
+        found = np.zeros(self.filled.size)
+        for corner in range(8):
+            steps = (corner >> 2, (corner >> 1) & 1, corner & 1)
+            part = volumes_m3 * share[0][steps[0]] * share[1][steps[1]] * share[2][steps[2]]
+            there = part > 0.0
+            at = tuple((f + step)[there] for f, step in zip(first, steps, strict=True))
+            found += np.bincount(np.ravel_multi_index(at, self.filled.shape), part[there], minlength=len(found))
+        return found
+
+
+def _index(names: tuple[str, ...], name: str) -> int:
+    """Return the place of a layer, -1 where there is none."""
+    return names.index(name) if name in names else -1
+
+
+def _starts(count: int, low: float, high: float) -> Array:
+    """First voxel of each cell along an axis, for a fine part from ``low`` to ``high`` [voxel]."""
+    first = int(np.clip(np.floor(low), 0, count - 1))
+    last = int(np.clip(np.ceil(high), first + 1, count))
+    below, above = _outward(first), _outward(count - last)
+    return np.concatenate([first - np.cumsum(below)[::-1], np.arange(first, last), last + np.cumsum(above) - above])
+
+
+def _outward(count: int) -> Array:
+    """Widths of the cells that fill a number of voxels, in the order in which they grow [voxel]."""
+    widths: list[int] = []
+    while (left := count - sum(widths)) > 0:
+        widths.append(min(GROWTH[min(len(widths), len(GROWTH) - 1)], left))
+    return np.array(widths, dtype=np.int64)
+
+
+def _merged(values: Array, starts: list[Array]) -> Array:
+    """Sums of voxels over cells."""
+    for axis, start in enumerate(starts):
+        values = np.add.reduceat(values, start, axis=axis)
+    return values

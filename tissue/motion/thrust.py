@@ -1,0 +1,205 @@
+"""Motion of a tool that a thrust pushes along its axis, in balance with the force of the tissue."""
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.models.tissue_model import Response, ToolMotion
+from tissue.motion.motion import FeedLimit, Motion, frame_along
+
+__all__ = ["PushAlongAxis", "SpeedSearch", "implicit_speed"]
+
+TOLERANCE = 0.01
+"""Largest difference between the speed that led to a pose and the speed that balances the forces there, relative to the
+larger of both. The balance itself is exact: the tolerance is one of the pose, a hundredth of a tick's travel."""
+MOST_POSES = 10
+"""Poses that are tried in a tick: halving the interval of possible speeds 7 times brings it below `TOLERANCE`."""
+
+
+def implicit_speed(speed: float, *, thrust: float, drag: float, mass: float, step_s: float) -> float:
+    """Speed [m/s] one implicit Euler step later of a mass under ``thrust`` [N] and a viscous ``drag`` [N s/m]."""
+    return (mass * speed / step_s + thrust) / (mass / step_s + drag)
+
+
+class SpeedSearch:
+    """Search for the speed of a tick that balances the forces at the pose to which this speed leads.
+
+    The balanced speed S(v) at the pose of a tried speed v lies within the allowed speeds, so that S(v) - v changes its
+    sign between them. The interval with the change of sign shrinks with every pose. Where the force jumps, as at the
+    first contact of a flat reamer, the search ends on the side of the larger force.
+
+    Attributes
+    ----------
+    tried
+        Speed whose pose is to be evaluated next [m/s].
+    """
+
+    def __init__(self) -> None:
+        self.tried = 0.0
+        self._low = self._high = self._narrow = 0.0
+        self._poses = 0
+
+    def begin(self, speed: float, *, highest: float) -> None:
+        """Start a tick with a first guess; speeds from 0 to ``highest`` are allowed [m/s]."""
+        self.tried = speed
+        self._low, self._high, self._narrow = 0.0, highest, TOLERANCE * highest
+        self._poses = 0
+
+    def accepts(self, balanced: float) -> bool:
+        """Return whether the pose of `tried` is the one, given the balanced speed there; else set `tried` anew."""
+        self._poses += 1
+        tried = self.tried
+        if abs(balanced - tried) <= TOLERANCE * max(balanced, tried):
+            return True
+        if balanced < tried:
+            self._high = tried
+            if self._high - self._low <= self._narrow or self._poses >= MOST_POSES:
+                return True
+        else:
+            self._low = tried
+            if self._high - self._low <= self._narrow or self._poses >= MOST_POSES:
+                if tried == self._high:
+                    return True
+                self._low = self.tried = self._high
+                return False
+        is_inside = self._low < balanced < self._high
+        self.tried = balanced if self._poses == 1 and is_inside else 0.5 * (self._low + self._high)
+        return False
+
+
+class PushAlongAxis(Motion):
+    """Force-driven: a thrust pushes the tool down its axis; the feed follows from the balance with the cutting force.
+
+    The cutting force grows so fast with the feed (up to 1e5 N s/m) that an explicit step is unstable for steps longer
+    than 2 m / c. The balance is solved for the new speed instead, with drag c and edge force at the new pose::
+
+        m (v' - v) / dt = thrust - c(x + v' dt) v' - edge(x + v' dt),    v' in [0, greatest feed]
+
+    So the force never exceeds thrust + m v / dt. `advance` starts from the drag of the previous tick, and `correct`
+    tries poses until one agrees. Below the edge force the tool stays where it is and the bone answers the thrust.
+
+    Parameters
+    ----------
+    start_m
+        Where the tip starts [m].
+    axis
+        Direction from tip to shank; the tool moves against it.
+    thrust_N, mass_kg, max_feed_m_s
+        Push, moving mass and greatest feed.
+    depth_m
+        Coordinate along ``-axis`` from the site's origin at which the feed stops [m].
+    """
+
+    balances = True
+
+    def __init__(
+        self,
+        start_m: Array,
+        *,
+        axis: tuple[float, float, float],
+        thrust_N: float,
+        mass_kg: float,
+        max_feed_m_s: float,
+        depth_m: float,
+    ) -> None:
+        self._rotation = frame_along(axis)
+        self._heading = -self._rotation[:, 2]
+        self._thrust, self._mass, self._max_feed = thrust_N, mass_kg, max_feed_m_s
+        self._start = np.asarray(start_m, dtype=float)
+        self._longest = depth_m - float(self._start @ self._heading)
+        if self._longest <= 0.0:
+            raise InputError(
+                f"motion.depth_mm must be greater than the depth of motion.start_mm along the feed "
+                f"({1e3 * float(self._start @ self._heading):g}), got {1e3 * depth_m:g}: start higher or go deeper"
+            )
+        self._travel = self._speed = 0.0
+        self._travel_before = self._speed_before = self._step = 0.0
+        self._search, self._settled = SpeedSearch(), True
+        self._touching = self._is_limited = False
+        self._limited_s, self._first_limited_s = 0.0, -1.0
+        self.duration_s = 4.0 * self._longest / max_feed_m_s
+
+    def sweep_m(self) -> Array:
+        """Start and deepest position [m]."""
+        return np.stack([self._start, self._start + self._longest * self._heading])
+
+    def rotations(self) -> Array:
+        """The fixed orientation at both."""
+        return np.broadcast_to(self._rotation, (2, 3, 3))
+
+    def begin(self, motion: ToolMotion) -> None:
+        """Begin at the start."""
+        motion.tip_m[:], motion.rotation[:] = self._start, self._rotation
+        motion.heading[0] = self._heading
+
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Move with the speed that would balance the drag of the previous tick."""
+        drag, edge = self._resisting(response)
+        was_touching, self._touching = self._touching, drag > 0.0 or edge > 0.0
+        if self._is_limited and was_touching and self._touching:
+            self._first_limited_s = time_s - step_s if self._limited_s == 0.0 else self._first_limited_s
+            self._limited_s += step_s
+        self._travel_before, self._speed_before, self._step = self._travel, self._speed, step_s
+        self._speed = self._balanced(drag, edge)
+        self._search.begin(self._speed, highest=self._highest())
+        self._settled = False
+        motion.rotation[:] = self._rotation
+        motion.heading[0] = self._heading
+        self._place(motion, self._speed)
+        self._set_speed(motion, edge)
+
+    def correct(self, response: Response, motion: ToolMotion) -> bool:
+        """Try another pose until its forces balance, then set the speed that balances them exactly."""
+        if self._settled:
+            return False
+        drag, edge = self._resisting(response)
+        self._speed = self._balanced(drag, edge)
+        self._settled = self._search.accepts(self._speed)
+        if not self._settled:
+            self._place(motion, self._search.tried)
+        self._set_speed(motion, edge)
+        return True
+
+    def happened(self) -> list[tuple[float, str]]:
+        """Return when the feed limit was first active in contact, and for how long in all."""
+        if self._limited_s == 0.0:
+            return []
+        what = (
+            f"motion.max_feed_mm_s = {1e3 * self._max_feed:g} limits the feed, for {self._limited_s:.3f} s in all: the "
+            f"force then stays below the thrust of {self._thrust:g} N"
+        )
+        return [(self._first_limited_s, what)]
+
+    @property
+    def feed_limit(self) -> FeedLimit:
+        """Time for which the feed limit was active in contact, up to the previous tick."""
+        first_s = self._first_limited_s if self._limited_s > 0.0 else None
+        return FeedLimit(1e3 * self._max_feed, round(self._limited_s, 6), first_s)
+
+    def _resisting(self, response: Response) -> tuple[float, float]:
+        """Drag [N s/m] and edge force [N] against the heading."""
+        drag = max(-float(response.resistance[:3].dot(self._heading)), 0.0)
+        edge = max(-float(response.edge[:3].dot(self._heading)), 0.0)
+        return drag, edge
+
+    def _highest(self) -> float:
+        """Highest speed of this tick [m/s], by the feed limit and the depth that is left."""
+        return max(min(self._max_feed, (self._longest - self._travel_before) / self._step), 0.0)
+
+    def _balanced(self, drag: float, edge: float) -> float:
+        """Speed at the end of this tick that balances thrust, inertia, drag and edge force, within the limits [m/s]."""
+        thrust = self._thrust - edge
+        free = implicit_speed(self._speed_before, thrust=thrust, drag=drag, mass=self._mass, step_s=self._step)
+        self._is_limited = free > self._max_feed
+        return max(min(free, self._highest()), 0.0)
+
+    def _place(self, motion: ToolMotion, speed: float) -> None:
+        """Bring the tool to the pose to which a speed leads in this tick."""
+        self._travel = self._travel_before + speed * self._step
+        motion.tip_m[:] = self._start + self._travel * self._heading
+
+    def _set_speed(self, motion: ToolMotion, edge: float) -> None:
+        """Write the speed, and the share of the edge force that holds a tool at rest."""
+        motion.speed_m_s = self._speed
+        stuck = self._speed == 0.0 and self._travel < self._longest and edge > 0.0
+        motion.pressed = min(self._thrust / edge, 1.0) if stuck else 0.0
