@@ -124,7 +124,7 @@ def test_the_guard_lets_a_fast_hand_pass_and_takes_up_a_device_that_comes_back()
     ("sample", "word"),
     [
         (Sample(0.0, (np.nan, 0.0, 0.0)), "not finite"),
-        (Sample(0.0, (0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 0.0)), "not finite"),
+        (Sample(0.0, (0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 0.0)), "not of unit length"),
         (Sample(0.0, (0.0, np.inf, 0.0)), "not finite"),
         (Sample(0.0, (0.0, 0.0, 1e9)), "no hand reaches"),
         (Sample(0.0, (0.0, 0.0, 0.0), (0.0, 7.0, 0.0)), "no hand has"),

@@ -9,7 +9,9 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
+from tissue.builders.recorded import recorded_file
 from tissue.builders.registry import motion_of
+from tissue.builders.start_pose import w_first_notice
 from tissue.builders.voxels import reach, require_outside, require_touch, structures, volume_of, whole_tooth
 from tissue.cutters.cutter import Cutter
 from tissue.materials.cutting import CUT_AS
@@ -64,9 +66,12 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
     )
     tissue = _bone(scene, volume, cutter, motion, compute=compute, cores=cores, report=report)
     clear = _clear(scene, volume, cutter, motion, notes=notes, report=report)
-    return Parts(
+    parts = Parts(
         motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes, keep_clear=clear
     )
+    if (file := recorded_file(scene)) and (notice := w_first_notice(volume, cutter, motion, file)):
+        parts.events.append((0.0, notice))
+    return parts
 
 
 def _clear(

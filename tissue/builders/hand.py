@@ -11,6 +11,7 @@ from meshes.shapes.polyline import arc_length
 from tissue.builders.device_motion import device_motion
 from tissue.builders.loop import person_of
 from tissue.builders.loop_settings import loop_settings
+from tissue.builders.recorded import plays_record
 from tissue.haptics.device.device import DeviceParameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, HandParameters
@@ -41,7 +42,8 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
     """
     settings = loop_settings(scene)
     limits, person, scale = settings.limits, settings.person, scene.coupling.motion_scale
-    _require_workspace(scene, scripted, limits)
+    if not plays_record(scene):
+        _require_workspace(scene, scripted, limits)
     start = scripted.sweep_m()[0]
     rng, feeling = np.random.default_rng(scene.seed).spawn(2)
 

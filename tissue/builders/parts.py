@@ -33,6 +33,8 @@ class Parts:
         Where the scene's frame lies in that of the file that the anatomy came from; None where it came from none.
     notes
         What was assumed or found, by what it is about.
+    events
+        What the run reports from its start on: time [s] and a sentence each.
     keep_clear
         Measures the tool's distance from structures that it must not touch; None where the scene names none.
     """
@@ -44,6 +46,7 @@ class Parts:
     placement: Placement | None = None
     notes: dict[str, str] = field(default_factory=dict)
     keep_clear: KeepClear | None = None
+    events: list[tuple[float, str]] = field(default_factory=list)
 
     @property
     def fields(self) -> FieldSeries | None:

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from tissue.builders.own_constants import note_own_constants
 from tissue.builders.parts import Parts
+from tissue.builders.recorded import plays_record
 from tissue.motion.motion import FollowPath, Motion
 from tissue.motion.replay import ReplayPoses, read_replay
 from tissue.motion.thrust import PushAlongAxis
@@ -47,7 +48,13 @@ def build(
 
 
 def motion_of(scene: Scene, *, step_s: float) -> Motion:
-    """The motion that a scene describes."""
+    """Return the motion that a scene describes; with a recorded device the motion of its record.
+
+    So the tool starts where it was recorded, and the tissue is made ready along the record.
+    """
+    if plays_record(scene):
+        with names_of_caller({"motion.file": "hardware.address"}):
+            return read_replay(Path(scene.hardware.address), step_s=step_s)
     return loaded(MOTIONS[scene.motion.kind].make)(scene.motion, step_s)
 
 

@@ -109,6 +109,7 @@ class HandMotion(Motion):
         self._limits, self._played = limits, played or PlayedForce(limits)
         self.predictor, self._gain = predictor, prediction_gain
         self._sees = predictor if isinstance(predictor, SeesContact) else None
+        self._sample_s = loop.tick_s
         self._margin, self.device = margin, device
         self.tool, self.law, self._contact, self._control = tool, law, law, None
         if predictor is not None and isinstance(law, PassivityRenderer):
@@ -119,7 +120,6 @@ class HandMotion(Motion):
         self._start, self._scale = np.array(scripted.rotations()[0]), motion_scale
         self._shift = device_origin_m if device_origin_m is not None else (1.0 - motion_scale) * scripted.sweep_m()[0]
         self.contact = partial(seen_contact, tool, loop.stiffness_N_m, motion_scale, self._shift)
-        self.guard = guard_of(limits, sample_s=loop.tick_s)
         self._low_pass = LowPass(loop.filter_s, step_s=TICK_S)
         self._delay = DelayLine(delay_ticks)
         # One filter for device and tool: where both go together, their difference stays zero.
@@ -134,12 +134,11 @@ class HandMotion(Motion):
         # What it books has passed the delay that is made here.
         self.observer = PassivityObserver(delay_ticks=max(lag / TICK_S - delay_ticks, 0.0))
         self._turned: Quaternion | None = None
-        self._velocity = np.zeros(3)
         self._smoothing = min(TICK_S * model_ticks / max(SMOOTH_S, SMOOTH_SAMPLES * loop.tick_s), 1.0)
         self.model_ticks, self.lead_ticks = model_ticks, lead_ticks
         self._ticks, self._step, self._fresh, self._is_new = 0, TICK_S * model_ticks, True, True
         self._sample: Sample | None = None
-        self._before, self._went, self._raw, self._torque = np.zeros((4, 3))
+        self._before, self._went, self._raw, self._torque, self._velocity = np.zeros((5, 3))
         self._both, self._rates = np.zeros((2, 6))
 
     @property
@@ -150,6 +149,7 @@ class HandMotion(Motion):
     @device.setter
     def device(self, device: Device | SafeDevice) -> None:
         self.held = SafeDevice(device, limits=self._limits)
+        self.guard = guard_of(self.held.device, self._limits, sample_s=self._sample_s)
         self.measure_names = at.MEASURES + at.PREDICTED * (self.predictor is not None)
         self._person = slice(len(self.measure_names), len(self.measure_names) + len(self._played.names))
         self.measure_names += self._played.names

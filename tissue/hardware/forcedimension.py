@@ -4,6 +4,7 @@ Read in forcedimension-core 1.0.0: every call takes the device's number, returns
 Positions are in m, matrices hold the axes of the handle as columns; x points to the hand, y to its right, z up.
 """
 
+from collections import Counter
 from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -28,6 +29,10 @@ MISSING = (
     "must be installed for a device of Force Dimension, got none: pip install 'tissue-sim[forcedimension]' with Python "
     "3.11 or 3.12, and the SDK of forcedimension.com"
 )
+
+
+_OPEN: Counter[int] = Counter()
+"""How many adapters of this process have a device open, by the library's number."""
 
 
 class ForceDimensionAdapter:
@@ -83,7 +88,8 @@ class ForceDimensionAdapter:
                     continue
                 serial, model = str(dhd.getSerialNumber(number)), dhd.getSystemName(number) or "unknown model"
             finally:
-                dhd.close(number)
+                if not _OPEN[number]:  # it would end the run of the adapter that has it open
+                    dhd.close(number)
             if address in ("", serial):
                 found.append(FoundDevice(name=cls.name, where=serial, detail=model, limits=device_parameters(cls.name)))
         if not found and not cls.has_motors:
@@ -96,6 +102,7 @@ class ForceDimensionAdapter:
         if number == FAILED:
             raise InputError(_refused(dhd))
         self._dhd, self._id, self._failures = dhd, number, 0
+        _OPEN[number] += 1
         try:
             if bool(dhd.hasActiveWrist(number)) != self.has_motors:
                 other = "forcedimension" if self.has_motors else "sigma-7"
@@ -159,15 +166,15 @@ class ForceDimensionAdapter:
         self._count(self._dhd.setForceAndTorque(force_N.tolist(), torque, self._id))
 
     def close(self) -> None:
-        """Take all force off by switching the motors off, and close the device."""
+        """Take all force off by switching the motors off, and close the device, unless another adapter uses it."""
         dhd, self._dhd = self._dhd, None
         if dhd is None:
             return
-        for call in (
-            lambda: dhd.setForceAndTorque((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), self._id),
-            lambda: dhd.enableForce(False, self._id),
-            lambda: dhd.close(self._id),
-        ):
+        _OPEN[self._id] -= 1
+        calls = [lambda: dhd.setForceAndTorque((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), self._id)]
+        if not _OPEN[self._id]:
+            calls += [lambda: dhd.enableForce(False, self._id), lambda: dhd.close(self._id)]
+        for call in calls:
             with suppress(Exception):
                 call()
 

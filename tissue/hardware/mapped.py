@@ -10,6 +10,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.haptics.device.device import DeviceParameters, Sample
+from tissue.haptics.device.reach import reach_of
 from tissue.hardware.adapter import HardwareAdapter, HardwareSample
 from tissue.hardware.workspace import Workspace
 from tissue.motion.quaternion import Triple
@@ -56,6 +57,8 @@ class MappedDevice:
     in_process = False
     real_time = True
     """Whether a run has to follow the wall clock."""
+    bounds_itself = True
+    """Its workspace bounds the device's own positions; with a clutch the tool may go further."""
 
     def __init__(
         self,
@@ -68,6 +71,7 @@ class MappedDevice:
         self._adapter, self._settings, self._now = adapter, hardware or Hardware(), now
         self.limits: DeviceParameters = adapter.limits
         self._space = Workspace(self._settings.turn_deg, start_m)
+        self._reach = reach_of(adapter, self.limits)
         self._cap = min(self._settings.force_cap_N or self.limits.force_limit_N, self.limits.force_limit_N)
         self._patience, self._ramp = 1e-3 * self._settings.watchdog_ms, 1e-3 * self._settings.ramp_ms
         self.played: tuple[Array, Array] = (np.zeros(3), np.zeros(3))
@@ -97,7 +101,13 @@ class MappedDevice:
         self._adapter.close()
 
     def read(self, time_s: float) -> Sample | None:
-        """The newest sample in the world frame, where the clutch leaves it; None once the watchdog has ended."""
+        """The newest sample in the world frame, where the clutch leaves it; None once the watchdog has ended.
+
+        Raises
+        ------
+        DeviceError
+            If the device leaves its reach, as one does that reports millimetres.
+        """
         if time_s < self._time or not self._space.is_placed:
             self._begin(time_s)
         elapsed, self._time = time_s - self._time, time_s
@@ -107,6 +117,8 @@ class MappedDevice:
             self._note()
         if sample is not None:
             self._newest, self._came = sample, now
+            if self._reach is not None:
+                self._reach.require(sample.position_m)
         elif self._newest is None or now - self._came > self._patience:
             if not self._lost and self._space.is_placed:
                 self._log(f"no sample came for {1e3 * self._patience:g} ms: the force is zero")
@@ -142,6 +154,8 @@ class MappedDevice:
         """A run begins: the next sample is where its tool starts, and the force comes on from zero."""
         self.share, self._time = 0.0, time_s
         self._space.forget()
+        if self._reach is not None:
+            self._reach.restart()
 
     def _ramped(self, elapsed_s: float) -> float:
         """The share after so much more time."""

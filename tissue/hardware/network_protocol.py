@@ -7,7 +7,7 @@ from enum import IntEnum
 from math import isfinite
 
 from tissue.hardware.adapter import HardwareSample
-from tissue.motion.quaternion import Triple
+from tissue.motion.quaternion import Triple, is_nearly_unit
 
 __all__ = [
     "MAGIC", "NO_WRENCH", "VERSION", "WHOLE", "Kind", "Packet", "PacketError", "Wrench", "is_newer", "packed",
@@ -26,8 +26,6 @@ WRENCH = struct.Struct("<6d")
 """Force [N] and torque [N m]."""
 LONGEST_REASON = 400
 """Bytes of a refusal's sentence."""
-OFF_UNIT = 0.02
-"""How far the square of a quaternion's length may be from one."""
 HALF, WHOLE = 1 << 31, 1 << 32
 """Half of the sequence numbers that there are, and all of them."""
 
@@ -145,9 +143,8 @@ def is_newer(sequence: int, before: int) -> bool:
 def _sample(payload: bytes) -> HardwareSample:
     """The sample of a pose; a quaternion that is nearly of unit length passes as it is."""
     x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz, buttons, _ = POSE.unpack(payload)
-    length = qx * qx + qy * qy + qz * qz + qw * qw
     total = x + y + z + vx + vy + vz + wx + wy + wz
-    if not isfinite(total) or not abs(length - 1.0) <= OFF_UNIT:
+    if not isfinite(total) or not is_nearly_unit((qx, qy, qz, qw)):
         raise PacketError("number")
     return HardwareSample((x, y, z), (vx, vy, vz), (qx, qy, qz, qw), (wx, wy, wz), buttons)
 

@@ -5,13 +5,16 @@ position in the fourth; x points right, y up, z to the hand. The library calls a
 thousand times a second, and only inside it may the device be read or driven. That thread and the loop's share a few
 attributes, each replaced whole. The class HapticDevice of the package does not report a device that is missing, so its
 functions are called one by one.
+
+All devices of a process share the library's scheduler: the first one starts it and the last one stops it. The package
+opens a frame of whichever device is current, so each function that is called makes its own device current first.
 """
 
 import threading
 from collections import deque
 from contextlib import redirect_stdout, suppress
 from io import StringIO
-from time import perf_counter
+from time import perf_counter, sleep
 from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -34,6 +37,8 @@ HELD_S = 0.05
 """How long a force is played without another one [s]."""
 REST_S = 0.05
 """How long an end waits for the vendor's thread to have played zero [s]."""
+ROUND_S = 5e-3
+"""Time in which the vendor's thread has called the functions of all devices once more [s]."""
 WINDOW = 10
 """Calls of the vendor's thread over which velocities are taken, 10 ms."""
 MISSING = (
@@ -41,6 +46,11 @@ MISSING = (
     "device's driver from 3dsystems.com"
 )
 NO_DEVICE = "check cable, power and the vendor's setup, by which it has that name"
+
+
+_OPEN: dict[int, str] = {}
+"""Names of the devices that this process has open, by the library's number."""
+_OPENING = threading.Lock()
 
 
 class OpenHapticsAdapter:
@@ -73,6 +83,9 @@ class OpenHapticsAdapter:
             hd = _library()[0]
         except InputError as error:
             return [FoundDevice(name="openhaptics", problem=str(error))]
+        if name in _OPEN.values():  # to open it again and close it would end the other one's run
+            detail = "in use by this program"
+            return [FoundDevice(name="openhaptics", where=name, detail=detail, limits=device_parameters("openhaptics"))]
         with redirect_stdout(StringIO()):
             number = hd.init_device(name)
             if number in NONE:
@@ -93,10 +106,14 @@ class OpenHapticsAdapter:
             if number in NONE:
                 raise InputError(f"a device named {self._name} must be connected, got none: {NO_DEVICE}")
             self._hd, self._id, self._ended = hd, number, False
+            with _OPENING:
+                is_first = not _OPEN
+                _OPEN[number] = self._name
             self._callback = scheduling.hd_callback(self._serve)
             try:
                 hd.enable_force()
-                hd.start_scheduler()
+                if is_first:
+                    hd.start_scheduler()
                 scheduling.hdAsyncSheduler(self._callback)
             except BaseException:
                 self.close()
@@ -129,7 +146,7 @@ class OpenHapticsAdapter:
         self._force = (force_N.tolist(), perf_counter())
 
     def close(self) -> None:
-        """Let the vendor's thread play zero once more, stop it, and close the device."""
+        """Let the vendor's thread play zero once more, and close the device; the last device stops the thread."""
         if self._ended:
             return
         self._rests.clear()
@@ -137,9 +154,16 @@ class OpenHapticsAdapter:
         hd = self._hd
         self._rests.wait(REST_S)
         self._hd = None
-        for call in (hd.stop_scheduler, lambda: hd.close_device(self._id)):
+        with _OPENING:
+            _OPEN.pop(self._id, None)
+            is_last = not _OPEN
+        if is_last:
             with suppress(Exception):
-                call()
+                hd.stop_scheduler()
+        else:
+            sleep(ROUND_S)  # until another device is current, so that no frame is opened of this one
+        with suppress(Exception):
+            hd.close_device(self._id)
 
     def _serve(self) -> None:
         """Read and drive the device; called in the vendor's thread, which an exception would end without a word."""
@@ -147,13 +171,22 @@ class OpenHapticsAdapter:
             hd, now = self._hd, perf_counter()
             if hd is None:
                 return
+            self._make_current(hd)
             self._sample = self._read(hd.get_transform(), hd.get_buttons(), now)
             (force, pushed), ended = self._force, self._ended
             hd.set_force(force if now - pushed <= HELD_S and not ended else [0.0, 0.0, 0.0])
             if ended:
+                self._hd = None
                 self._rests.set()
         except Exception as error:
             self._problem = f"the device must answer, got {type(error).__name__} ({error}): check its cable and driver"
+
+    def _make_current(self, hd: Any) -> None:
+        """Leave the frame of another device, which the package has opened, for one of this device."""
+        current = hd.get_current_device()
+        if current != self._id:
+            hd.end_frame(current)
+            hd.begin_frame(self._id)
 
     def _read(self, transform: Any, buttons: int, now: float) -> HardwareSample:
         x, y, z = (1e-3 * transform[3][axis] for axis in range(3))

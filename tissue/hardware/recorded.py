@@ -23,8 +23,9 @@ __all__ = ["RecordedAdapter"]
 class RecordedAdapter:
     """The poses of a file, one for each call of `poll`; after the last there is none, and the force fades.
 
-    Unlike ``motion.kind = "replay"``, which moves the tool itself, it moves the device: coupling, prediction and what
-    is commanded are those of a hand that moves so.
+    A run plays them where they were recorded: its tool starts at the first pose. Unlike ``motion.kind = "replay"``,
+    which moves the tool itself, the poses move the device: coupling, prediction and what is commanded are those of a
+    hand that moves so.
 
     Parameters
     ----------
@@ -36,6 +37,9 @@ class RecordedAdapter:
     InputError
         If the file is missing, or is none of poses.
     """
+
+    bounds_itself = True
+    """A file has no arm that bounds its positions."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         address = hardware.address if hardware else ""

@@ -9,6 +9,7 @@ from time import perf_counter, sleep
 import numpy as np
 
 from meshes.base.errors import InputError, require_range
+from tissue.haptics.device.reach import Reach
 from tissue.hardware.adapter import HardwareAdapter
 from tissue.models.tissue_model import TICK_S
 
@@ -93,11 +94,11 @@ def self_test(
     Raises
     ------
     InputError
-        If too few samples come.
+        If too few samples come, or as `DeviceError` if positions leave the device's reach, as millimetres do.
     """
     require_range("seconds", seconds, 0.1, 600.0, "use 2")
     zero, times, calls, trips = np.zeros(3), list[float](), list[float](), list[float]()
-    end, due = clock() + START_S, clock()
+    end, due, reach = clock() + START_S, clock(), Reach(adapter.limits)
     while (before := clock()) < end:
         sample = adapter.poll()
         if (now := clock()) >= due:
@@ -108,6 +109,7 @@ def self_test(
             if not times:
                 end = now + seconds
                 calls.clear()
+            reach.require(sample.position_m)
             times.append(now)
             trips.append(getattr(adapter, "round_trip_s", nan))
         pause(PAUSE_S)

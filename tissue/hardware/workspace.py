@@ -6,7 +6,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.motion.motion import matrix_of
-from tissue.motion.quaternion import Quaternion, Triple, conjugate, exponential, product, unit
+from tissue.motion.quaternion import Quaternion, Triple, conjugate, exponential, is_nearly_unit, product, unit
 
 __all__ = ["Workspace"]
 
@@ -67,14 +67,21 @@ class Workspace:
             return self._pose
         x, y, z = self.turned(position_m)
         turned = self._in_world(quaternion)
-        if (self._clutched or not self.is_placed) and isfinite(x + y + z + sum(turned)):
+        usable = isfinite(x + y + z) and is_nearly_unit(turned)
+        if usable and (self._clutched or not self.is_placed):
             (a, b, c), onto = self._pose
             self._shift, self._onto, self._from = (a - x, b - y, c - z), onto, conjugate(turned)
             self.is_placed, self._clutched = True, clutched
         a, b, c = self._shift
-        self._pose = (x + a, y + b, z + c), product(product(turned, self._from), self._onto)
-        return self._pose
+        pose = (x + a, y + b, z + c), product(product(turned, self._from), self._onto)
+        if usable:
+            self._pose = pose
+        return pose
 
     def _in_world(self, quaternion: Quaternion) -> Quaternion:
-        """An orientation of the device in the world's axes; one without length passes, for who judges samples."""
-        return product(product(self._turn, unit(quaternion) or quaternion), conjugate(self._turn))
+        """Return an orientation of the device in the world's axes.
+
+        A quaternion that is far from unit length keeps its length, so that the loop's guard refuses it.
+        """
+        length_one = (unit(quaternion) if is_nearly_unit(quaternion) else None) or quaternion
+        return product(product(self._turn, length_one), conjugate(self._turn))

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from tissue.motion.motion import first_off_unit
 
 __all__ = ["EVENTS", "POSES", "SHAFT_TO_X", "DrillingRecording", "read_drilling"]
 
@@ -167,6 +168,9 @@ def _numbers(file: Any, name: str, where: _Where) -> Array:
 
 def _turns(pose: Array, name: str, where: _Where) -> Rotation:
     """Orientations of poses, shape (n, 7)."""
-    if len(pose) == 0 or not (np.linalg.norm(pose[:, 3:], axis=1) > 1e-6).all():
-        raise where.error("hold unit quaternions", f"a zero one, or none, for {name}", "use 0, 0, 0, 1 there")
+    if len(pose) == 0:
+        raise where.error("hold poses", f"none for {name}", "record it again")
+    if (wrong := first_off_unit(pose[:, 3:])) is not None:
+        length = float(np.linalg.norm(pose[wrong, 3:]))
+        raise where.error("hold unit quaternions", f"one of length {length:.4g} for {name}", "use 0, 0, 0, 1 for none")
     return Rotation.from_quat(pose[:, 3:])

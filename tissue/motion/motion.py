@@ -9,8 +9,18 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
+from tissue.motion.quaternion import OFF_UNIT
 
-__all__ = ["LONGEST_S", "FeedLimit", "FollowPath", "Motion", "frame_along", "matrix_of", "quaternion_of"]
+__all__ = [
+    "LONGEST_S",
+    "FeedLimit",
+    "FollowPath",
+    "Motion",
+    "first_off_unit",
+    "frame_along",
+    "matrix_of",
+    "quaternion_of",
+]
 
 Array = NDArray[np.float64]
 LONGEST_S = 3600.0
@@ -87,6 +97,19 @@ class Motion(Protocol):
     def happened(self) -> list[tuple[float, str]]:
         """What has happened so far: time [s] and a sentence each."""
         return []
+
+
+def first_off_unit(quaternions: Array) -> int | None:
+    """Return the place of the first quaternion that is far from unit length; None where all are near it.
+
+    Parameters
+    ----------
+    quaternions
+        Shape (n, 4), finite.
+    """
+    off: Array = np.abs(np.einsum("ij,ij->i", quaternions, quaternions) - 1.0)
+    wrong = np.flatnonzero(off > OFF_UNIT)
+    return int(wrong[0]) if wrong.size else None
 
 
 def frame_along(axis: tuple[float, float, float]) -> Array:

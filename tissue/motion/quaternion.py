@@ -4,12 +4,15 @@ from collections.abc import Sequence
 from math import atan2, cos, inf, sin, sqrt
 
 __all__ = [
-    "Quaternion", "Triple", "conjugate", "exponential", "logarithm", "of_matrix", "product", "turn_between", "unit",
+    "OFF_UNIT", "Quaternion", "Triple", "conjugate", "exponential", "is_nearly_unit", "logarithm", "of_matrix",
+    "product", "turn_between", "unit",
 ]  # fmt: skip
 
 Quaternion = tuple[float, float, float, float]
 Triple = tuple[float, float, float]
 """Three components of a vector."""
+OFF_UNIT = 0.02
+"""Largest difference from one of the square of a quaternion's length, for a rotation that was rounded."""
 
 
 def product(left: Quaternion, right: Quaternion) -> Quaternion:
@@ -35,6 +38,12 @@ def unit(rotation: Quaternion) -> Quaternion | None:
     x, y, z, w = rotation
     size = sqrt(x * x + y * y + z * z + w * w)
     return (x / size, y / size, z / size, w / size) if 1e-6 < size < inf else None
+
+
+def is_nearly_unit(rotation: Quaternion) -> bool:
+    """Return whether the square of the quaternion's length differs from one by at most `OFF_UNIT`."""
+    x, y, z, w = rotation
+    return abs(x * x + y * y + z * z + w * w - 1.0) <= OFF_UNIT
 
 
 def exponential(vector: Triple) -> Quaternion:

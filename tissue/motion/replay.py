@@ -13,7 +13,7 @@ from meshes.base.text_numbers import number_in, require_distinct_columns
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.drilling_recording import read_drilling
-from tissue.motion.motion import LONGEST_S, Motion
+from tissue.motion.motion import LONGEST_S, Motion, first_off_unit
 
 __all__ = ["GivenPoses", "ReplayPoses", "read_replay"]
 
@@ -130,8 +130,12 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
             f"motion.file must have increasing time_s, got {after:g} after {before:g} in {path}: sort its rows"
         )
     _require_short(poses[-1, 0] - poses[0, 0], path)
-    if (np.linalg.norm(poses[:, 4:], axis=1) < 1e-6).any():
-        raise InputError(f"motion.file must hold unit quaternions, got a zero one in {path}: use 0, 0, 0, 1 there")
+    if (wrong := first_off_unit(poses[:, 4:])) is not None:
+        length = float(np.linalg.norm(poses[wrong, 4:]))
+        raise InputError(
+            f"motion.file must hold unit quaternions, got one of length {length:.4g} at {poses[wrong, 0]:g} s in "
+            f"{path}: give tool_qx, tool_qy, tool_qz and tool_qw of a rotation, and 0, 0, 0, 1 for none"
+        )
     return ReplayPoses(poses[:, 0], poses[:, 1:4] * 1e-3, poses[:, 4:], step_s=step_s)
 
 

@@ -63,7 +63,7 @@ class Loop:
     def __init__(self, parts: Parts, *, ticks: int, output: Output, timing_columns: tuple[str, ...] = ()) -> None:
         tissue = parts.tissue
         self.parts, self.ticks = parts, 0
-        self.events: list[tuple[float, str]] = []
+        self.events = list(parts.events)
         self._background = tissue if isinstance(tissue, WaitsForBackground) else None
         self._notices = tissue.notices if isinstance(tissue, HasNotices) else []
         self._clear = parts.keep_clear

@@ -6,6 +6,7 @@ import pytest
 from meshes.base.errors import InputError
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue.api.simulate import simulate
+from tissue.builders.registry import motion_of
 from tissue.hardware.recorded import RecordedAdapter
 from tissue.scene.hardware import Hardware
 from tissue.scene.load import load_scene
@@ -62,11 +63,37 @@ def test_a_record_needs_its_file(tmp_path):
 
 
 def test_a_run_by_a_record_meets_the_wall_where_the_record_goes(tmp_path):
-    """From the start, 20 mm above the wall, 25 mm down: the force is that of the coupling, and the pose the record's."""
+    """From 12 mm above the wall 17 mm down: the pose is the record's, wherever the scene's motion starts (at 20 mm)."""
     times = np.linspace(0.0, 1.0, 11)
-    hardware = table(tmp_path / "poses.csv", times, -25.0 * np.minimum(times / 0.5, 1.0))
+    hardware = table(tmp_path / "poses.csv", times, 12.0 - 17.0 * np.minimum(times / 0.5, 1.0))
     keys = {"device": "recorded", "hardware.address": hardware.address, "hardware.ramp_ms": 0.0, "duration_s": 0.8}
     run = simulate(load_scene("wall", keys))
-    assert run.trace["device_z_mm"][0] == pytest.approx(20.0, abs=0.1)
-    assert run.trace["device_z_mm"][-1] == pytest.approx(-5.0, abs=0.1)
+    recorded = np.column_stack(
+        [np.full(800, 1.0), np.full(800, 2.0), 12.0 - 17.0 * np.minimum(np.arange(800) / 500.0, 1.0)]
+    )
+    np.testing.assert_allclose(run.trace.vectors("device", "mm"), recorded, atol=1e-9)
+    np.testing.assert_allclose(run.trace.vectors("tool", "mm")[:350], recorded[:350], atol=1e-9)
     assert run.trace["device_force_z_N"][:300].max() == 0.0 and run.trace["device_force_z_N"][-1] > 1.0
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_a_run_by_a_record_starts_at_its_pose_and_turn(tmp_path, scale):
+    """The tool starts at the first pose at any scale, turned as it was recorded."""
+    times, turn = np.linspace(0.0, 0.2, 5), (0.0, 0.6, 0.0, 0.8)
+    hardware = table(tmp_path / "poses.csv", times, 15.0 - 10.0 * times, turn)
+    keys = {"device": "recorded", "hardware.address": hardware.address, "coupling.motion_scale": scale}
+    run = simulate(load_scene("wall", keys | {"duration_s": 0.2}))
+    tool = run.trace.vectors("tool", "mm")
+    np.testing.assert_allclose(tool[0], (1.0, 2.0, 15.0), atol=1e-9)
+    np.testing.assert_allclose(tool[-1], (1.0, 2.0, 15.0 - 1.99 * scale), atol=1e-3)
+    found = np.array([run.trace[f"tool_q{axis}"][-1] for axis in "xyzw"])
+    assert abs(found @ turn) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_scene_whose_record_is_gone_has_the_motion_of_the_scene(tmp_path):
+    """So a saved run is viewed without its record, and only to run it again is refused."""
+    keys = {"device": "recorded", "hardware.address": str(tmp_path / "gone.csv")}
+    scene = load_scene("wall", keys)
+    assert motion_of(scene, step_s=1e-3).sweep_m()[0] == pytest.approx((0.0, 0.0, 0.02))
+    with pytest.raises(InputError, match=r"hardware\.address must be an existing file of poses"):
+        simulate(scene)

@@ -22,6 +22,8 @@ from tissue.scene.load import load_scene
 class Clocked:
     """A device and its clock: a sample every so often, and calls that take time; it moves where it is pushed."""
 
+    limits = device_parameters("network")
+
     def __init__(self, interval_s=2e-3, *, late=(), read_s=1e-5, push_s=3e-5, trip_s=None, lasts_s=1e9):
         self.now, self.read_s, self.push_s, self.lasts_s = 50.0, read_s, push_s, lasts_s
         self.interval, self.late, self.due, self.count = interval_s, late, 50.0, 0

@@ -181,6 +181,46 @@ def test_a_touch_is_read_and_pushed_in_the_vendors_thread_alone(monkeypatch, cap
     assert capsys.readouterr().out == ""  # what the package prints is not shown
 
 
+def test_closing_one_of_two_touches_leaves_the_other_running(monkeypatch):
+    """Each device plays its own force in its own frame, and the last one that is closed stops the scheduler."""
+    device = OpenHaptics().install(monkeypatch)
+    turning = threading.Event()
+
+    def turn():
+        while not turning.is_set():
+            device.step()
+            time.sleep(5e-4)
+
+    servo = threading.Thread(target=turn)
+    with OpenHapticsAdapter(Hardware(address="left")) as left:
+        servo.start()
+        with OpenHapticsAdapter(Hardware(address="right")) as right:
+            until = time.perf_counter() + 0.1
+            while time.perf_counter() < until:
+                left.push(FORCE, TORQUE)
+                right.push(-FORCE, TORQUE)
+            assert OpenHapticsAdapter.find("left")[0].detail == "in use by this program"
+        assert device.played[1][-1] == (0.0, 0.0, 0.0) and {(-1.0, 2.0, -3.0)} <= set(device.played[1])
+        assert "stop" not in device.calls and device.calls.count("start") == 1 and "close 1" in device.calls
+        left.poll()
+        left.push(FORCE, TORQUE)
+        time.sleep(0.02)
+        assert left.poll() is not None and device.played[0][-1] == tuple(FORCE)
+    turning.set()
+    servo.join()
+    assert not {(-1.0, 2.0, -3.0)} & set(device.played[0])
+    assert device.calls[-2:] == ["stop", "close 0"]
+
+
+def test_a_device_of_force_dimension_that_two_adapters_use_stays_open_for_the_second(monkeypatch):
+    device = ForceDimension().install(monkeypatch)
+    with ForceDimensionAdapter() as first:
+        with ForceDimensionAdapter(Hardware(address="7")):
+            assert ForceDimensionAdapter.find()[0].where == "7" and device.is_open
+        assert device.is_open and device.enabled and first.poll() is not None
+    assert not device.is_open and device.wrenches[-1] == (0.0,) * 6
+
+
 def test_velocities_of_a_touch_are_taken_over_ten_calls(monkeypatch):
     device, clock = OpenHaptics().install(monkeypatch), [10.0]
     monkeypatch.setattr(openhaptics, "perf_counter", lambda: clock[0])

@@ -108,7 +108,7 @@ DRILL = f"{POSES}/mastoidectomy_drill_pose"
         (spoil(f"{DRILL}/pose", [b"a", b"b"]), "hold numbers as .*pose, got none"),
         (spoil(f"{DRILL}/pose", np.zeros((5, 7))), r"hold 7 values .* got shapes \(5, 7\) and \(4002,\)"),
         (spoil(f"{DRILL}/pose", np.zeros((4002, 6))), r"got shapes \(4002, 6\)"),
-        (spoil(f"{DRILL}/pose", np.zeros((4002, 7))), "hold unit quaternions, got a zero one"),
+        (spoil(f"{DRILL}/pose", np.zeros((4002, 7))), "hold unit quaternions, got one of length 0"),
         (spoil(f"{DRILL}/pose", np.full((4002, 7), np.nan)), "hold finite numbers"),
         (spoil(f"{DRILL}/time_stamp", np.zeros(4002)), "at least two poses, got 1"),
         (spoil(f"{DRILL}/time_stamp", np.arange(4002.0)), "must last at most"),

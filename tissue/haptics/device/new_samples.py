@@ -2,7 +2,8 @@
 
 from math import ceil, nan
 
-from tissue.haptics.device.device import DeviceParameters, Sample
+from tissue.haptics.device.device import Device, DeviceParameters, Sample
+from tissue.haptics.device.reach import reach_of
 from tissue.haptics.device.sample_guard import GuardLimits, SampleGuard
 from tissue.models.tissue_model import TICK_S
 
@@ -46,10 +47,12 @@ class NewSamples:
         return True
 
 
-def guard_of(limits: DeviceParameters, *, sample_s: float) -> SampleGuard:
+def guard_of(device: Device, limits: DeviceParameters, *, sample_s: float) -> SampleGuard:
     """Return the guard of a device, for so much time between two samples [s]."""
-    return SampleGuard(
+    guard = SampleGuard(
         GuardLimits(oldest_s=OLDEST * sample_s),
         force_limit_N=limits.force_limit_N,
         torque_limit_Nm=limits.torque_limit_Nm,
     )
+    guard.reach = reach_of(device, limits)
+    return guard

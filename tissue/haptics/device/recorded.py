@@ -82,6 +82,9 @@ class MouseDevice(ComputedDevice):
         Time constant with which a push is followed [s].
     """
 
+    bounds_itself = True
+    """A mouse has no arm that bounds its pointer."""
+
     def __init__(self, position_m: Triple = (0.0, 0.0, 0.0), *, response_s: float = 0.03) -> None:
         self._response = require_positive("response_s", response_s, "use 0.03")
         self._target, self._turned = position_m, NOT_TURNED

@@ -8,8 +8,9 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import require_positive
 from tissue.haptics.device.device import DeviceError, Sample
+from tissue.haptics.device.reach import Reach
 from tissue.haptics.device.roughness import Roughness
-from tissue.motion.quaternion import Quaternion, turn_between, unit
+from tissue.motion.quaternion import Quaternion, is_nearly_unit, turn_between, unit
 
 __all__ = ["GuardLimits", "SampleGuard"]
 
@@ -20,8 +21,11 @@ PARTS, LENGTHS = ("position_m", "velocity_m_s", "quaternion", "spin_rad_s"), [3,
 """Vectors of a sample and how many numbers each has."""
 PLAIN = {float, int, np.float64}
 """Types of numbers that are taken as they are; a bool is none."""
-OFF_UNIT = 0.02
-"""How far the square of a quaternion's length may be from one."""
+HALF_TURN = 1e-3
+"""How far a component of a quaternion may be from one in a half-turn about its axis."""
+W_FIRST = (
+    "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a device that gives w first starts so"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +82,8 @@ class SampleGuard:
         Time [s] and a sentence for every change between good and bad, and every other kind of fault; the first 200.
     bad_ticks
         Samples that were not valid.
+    reach
+        Bounds the positions of valid samples by the device's workspace; None for no bound.
     """
 
     def __init__(
@@ -88,6 +94,7 @@ class SampleGuard:
         self.share = 0.0
         self.events: list[tuple[float, str]] = []
         self.bad_ticks = 0
+        self.reach: Reach | None = None
         self._good: Sample | None = None
         self._fault = ""
         self._wrench = (np.zeros(3), np.zeros(3))
@@ -102,7 +109,7 @@ class SampleGuard:
         Raises
         ------
         DeviceError
-            If it is no `Sample`, or a part of it is not the right number of numbers.
+            If it is no `Sample`, a part of it is not the right number of numbers, or the device leaves its reach.
         """
         total: float | None = nan
         if sample is not None and (total := _total(sample)) is None:
@@ -118,6 +125,10 @@ class SampleGuard:
         if fault or sample is None or turned is None:
             self.bad_ticks += 1
             return None
+        if self.reach is not None:
+            self.reach.require(sample.position_m, samples=1)
+        if self._good is None and abs(turned[0]) > 1.0 - HALF_TURN:
+            self._log(time_s, W_FIRST)
         self._good = sample._replace(quaternion=turned)
         return self._good
 
@@ -147,10 +158,9 @@ class SampleGuard:
         limits, good = self._limits, self._good
         if sample is None:
             return "no sample"
-        if turned is None:
+        if turned is None and not isfinite(_total(sample) or 0.0):
             return "a sample that is not finite"
-        i, j, k, r = sample.quaternion
-        if abs(i * i + j * j + k * k + r * r - 1.0) > OFF_UNIT:
+        if turned is None or not is_nearly_unit(sample.quaternion):
             return "a quaternion that is not of unit length"
         if time_s - sample.time_s > limits.oldest_s:
             return "an old sample"
