@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, by
+from meshes.base.file_limits import require_memory
 from meshes.images.dicom_stack import Slice, stack_step
 from meshes.images.frame import StoredImage
 from meshes.images.itk import array_of, itk_reader
@@ -31,6 +32,7 @@ _READ = (
     "Rows",
     "Columns",
     "BitsAllocated",
+    "BitsStored",
     "PixelRepresentation",
     "ImagePositionPatient",
     "ImageOrientationPatient",
@@ -45,6 +47,9 @@ _READ = (
 Header = Mapping[str, Any]
 """Elements of a file by name."""
 
+_INVERTED = "MONOCHROME1"
+_GREY = ("MONOCHROME2", _INVERTED)
+_AIR_HU = (-1100.0, -900.0)
 _MAGIC, _PREAMBLE = b"DICM", 128
 _UNDEFINED_LENGTH = 0xFFFFFFFF
 
@@ -72,6 +77,16 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
         files, places, headers = [files[k] for k in chosen], [places[k] for k in chosen], [headers[k] for k in chosen]
     _require_one_series(headers, folder)
     slices = [_slice(header, place) for header, place in zip(headers, places, strict=True)]
+    if len({header["PhotometricInterpretation"] for header in headers}) > 1:
+        raise InputError(
+            f"slices must all have one photometric interpretation, got {' and '.join(_GREY)} in {folder.name}: export "
+            "the series again"
+        )
+    size = (*slices[0].size, len(slices))
+    most_bytes = max(int(header["BitsAllocated"] or 0) for header in headers) // 8
+    require_memory(
+        sum(int(np.prod(s.size, dtype=object)) for s in slices) * most_bytes, folder.name, f"{by(size)} voxels"
+    )
     order, step, notes = stack_step(slices, folder.name)
     planes, padded = [], 0
     for k in order:
@@ -82,11 +97,14 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
         notes.append(f"{padded} voxels of {folder.name} are padding: they take the lowest value of their slice.")
     if any(header["RescaleSlope"] is None for header in headers):
         notes.append(f"{folder.name} states no rescale slope: its grey values are taken as they are stored.")
+    values = np.concatenate(planes, axis=0)
+    if headers[0]["PhotometricInterpretation"] == _INVERTED:
+        values, note = _upright(values, [_ends(headers[k], places[k]) for k in order], headers[0], folder.name)
+        notes.append(note)
     first = slices[order[0]]
     spacing = float(np.linalg.norm(step))
     directions = np.column_stack([first.row, first.column, step / spacing])
-    values = np.concatenate(planes, axis=0).T
-    return StoredImage(values, (*first.pixel_mm, spacing), directions, first.position_mm, tuple(notes))
+    return StoredImage(values.T, (*first.pixel_mm, spacing), directions, first.position_mm, tuple(notes))
 
 
 def _may_be_slice(file: Path) -> bool:
@@ -172,10 +190,10 @@ def _slice(header: Header, place: str) -> Slice:
         raise InputError(
             f"a DICOM slice must hold one frame, got several in {place}: export one file a slice, or as .nrrd"
         )
-    if (header["PhotometricInterpretation"], header["SamplesPerPixel"]) != ("MONOCHROME2", 1):
+    if header["PhotometricInterpretation"] not in _GREY or header["SamplesPerPixel"] != 1:
         raise InputError(
-            f"a DICOM slice must hold grey values (MONOCHROME2), got other values in {place}: take it out, or export "
-            "grey values"
+            f"a DICOM slice must hold grey values (MONOCHROME2 or MONOCHROME1), got other values in {place}: take it "
+            "out, or export grey values"
         )
     both = _numbers(header, "ImageOrientationPatient", 6, place)
     down, along = _numbers(header, "PixelSpacing", 2, place).tolist()
@@ -220,6 +238,51 @@ def _pixels(file: Path, stated: Slice) -> NDArray[np.number]:
     if plane.shape != (*stated.size, 1):
         raise InputError(_damaged(stated.place))
     return plane.T
+
+
+def _ends(header: Header, place: str) -> float:
+    """Return the sum of the lowest and the highest value that a slice can hold, slope and intercept applied."""
+    bits = int(_number(header, "BitsStored", 16.0, place))
+    signed = int(_number(header, "PixelRepresentation", 0.0, place)) == 1
+    both_ends = -1.0 if signed else 2.0**bits - 1.0
+    slope, intercept = _number(header, "RescaleSlope", 1.0, place), _number(header, "RescaleIntercept", 0.0, place)
+    return slope * both_ends + 2.0 * intercept
+
+
+def _upright(
+    values: NDArray[np.number], ends: Sequence[float], first: Header, source: str
+) -> tuple[NDArray[np.number], str]:
+    """Return slices whose low values are displayed as white (MONOCHROME1) with bone as the highest value, and a note.
+
+    The rescale slope and intercept lead to Hounsfield units whatever the display (DICOM PS3.3, C.11.1), so they decide
+    where they put air at -1000. Values that were inverted without a change of the rescale are recognised by their air.
+
+    Parameters
+    ----------
+    values
+        Slices as GDCM returns them, shape (slices, rows, columns): it inverts the stored values of MONOCHROME1 before
+        it applies slope and intercept.
+    ends
+        Lowest plus highest value of each slice.
+    first
+        Header of a slice.
+    source
+        Name of the folder.
+    """
+    kind = values.dtype if values.dtype.kind == "f" else np.float32
+    stated = (np.asarray(ends, dtype=np.float64)[:, None, None] - values).astype(kind)
+    low, high = _AIR_HU
+    air, air_inverted = (np.count_nonzero((each > low) & (each < high)) for each in (stated, values))
+    slope = first["RescaleSlope"]
+    has_slope = slope not in (None, "")
+    if has_slope and (air > air_inverted or (air == air_inverted and float(slope) < 0.0)):
+        return stated, f"{source} displays low values as white (MONOCHROME1): its rescale leads to grey values."
+    if has_slope and air == air_inverted:
+        raise InputError(
+            f"it must be known whether values of {_INVERTED} are inverted, got slices without air in {source}: export "
+            "them as MONOCHROME2"
+        )
+    return values, f"The grey values of {source} are stored inverted (MONOCHROME1): they are inverted back."
 
 
 def _replace_padding(plane: NDArray[np.number], header: Header, place: str) -> int:
