@@ -110,7 +110,7 @@ def read_npz(path: Path) -> dict[str, NDArray[np.generic]]:
                 if stated != entry.file_size - stream.tell():
                     raise ValueError(f"{entry.filename} states {stated} bytes and holds another number")
     with np.load(path, allow_pickle=False) as stored:
-        return {name: stored[name] for name in stored.files}
+        return {name: stored[name] for name in (entry.filename.removesuffix(".npy") for entry in entries)}
 
 
 def _npy_bytes(stream: IO[bytes]) -> int:

@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -154,7 +155,7 @@ def _require_numbered(files: Sequence[Path], path: Path) -> None:
     if not varying:
         raise InputError(f"slices must have numbers that differ, got {files[1].name} twice in {path.name}: rename one")
     counted = numbers[:, varying[0]].tolist()
-    steps = [after - before for before, after in zip(counted, counted[1:], strict=False)]
+    steps = [after - before for before, after in pairwise(counted)]
     if 0 in steps:
         twice = files[steps.index(0) + 1].name
         raise InputError(f"slices must have numbers that differ, got that of {twice} twice in {path.name}: remove one")
@@ -162,8 +163,8 @@ def _require_numbered(files: Sequence[Path], path: Path) -> None:
     if wide is not None:
         missing = sum(steps) // min(steps) - len(steps)
         raise InputError(
-            f"slice numbers must follow each other, got {files[wide + 1].name} after {files[wide].name} in {path.name}, "
-            f"{missing} missing: export the whole stack"
+            f"slice numbers must follow each other, got {files[wide + 1].name} after {files[wide].name} in "
+            f"{path.name}, {missing} missing: export the whole stack"
         )
 
 
