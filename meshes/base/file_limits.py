@@ -25,10 +25,11 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 @contextmanager
 def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
-    """Set the memory that the content of a file may take [GB]; None: half of the free memory."""
-    if max_memory_GB is not None:
-        max_memory_GB = require_positive("max_memory_GB", max_memory_GB, "leave it out, or use about 8")
-    token = _limit_GB.set(max_memory_GB)
+    """Set the memory that the content of a file may take [GB]; None leaves the limit as it is."""
+    if max_memory_GB is None:
+        yield
+        return
+    token = _limit_GB.set(require_positive("max_memory_GB", max_memory_GB, "leave it out, or use about 8"))
     try:
         yield
     finally:
@@ -36,7 +37,7 @@ def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
 
 
 def memory_limit_bytes() -> int:
-    """Return the bytes that the content of a file may take."""
+    """Return the bytes that the content of a file may take: those of `memory_limit`, else half of the free memory."""
     given = _limit_GB.get()
     return int(given * _GB) if given is not None else int(_FREE_SHARE * _free_bytes())
 

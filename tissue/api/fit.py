@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import memory_limit
 from tissue.api.progress import Bar, reporting
 from tissue.fitting.fit import SceneFit, fit_device, fit_scene
 from tissue.fitting.fit_files import verdicts, write_fit
@@ -73,6 +74,7 @@ def fit(
     columns: Sequence[str] | Mapping[str, str] = (),
     nuts: bool = False,
     cores: int | None = None,
+    max_memory_GB: float | None = None,
     progress: Bar = None,
 ) -> Fit:
     """Find the constants of a scene's material from a measured log of poses and forces.
@@ -95,6 +97,8 @@ def fit(
         and the extra ``perception``.
     cores
         Processor cores to use; default all.
+    max_memory_GB
+        Memory that the log may take [GB]; default half of the free memory.
     progress
         Whether a bar is shown, or what is called with what is being done.
 
@@ -113,5 +117,6 @@ def fit(
             return Fit(fit_device(name, Path(measured), second, maps, nuts=nuts, progress=report))
         if held is not None:
             raise InputError("held must be left out for a scene: it is the second log of a device, device:touch")
-        log = read_log(Path(measured), maps)
+        with memory_limit(max_memory_GB):
+            log = read_log(Path(measured), maps)
         return Fit(fit_scene(scene, log, free=free, nuts=nuts, cores=cores, progress=report))

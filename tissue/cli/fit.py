@@ -22,6 +22,7 @@ def fit(
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     nuts: Annotated[bool, Parameter(negative="")] = False,
     cores: Annotated[int | None, Parameter(converter=whole)] = None,
+    max_memory_GB: Annotated[float | None, Parameter(name="--max-memory-GB")] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Find the constants of a scene's material, or of a device, from a measured force log.
@@ -47,6 +48,8 @@ def fit(
         Draw from the posterior by NUTS too, where a normal law about its maximum may not do; takes minutes.
     cores
         Processor cores to use; default all.
+    max_memory_GB
+        Memory that the log may take, in GB; default half of the free memory.
     overwrite
         Replace another fit in the folder.
     """
@@ -66,7 +69,15 @@ def fit(
     chosen = [name.strip() for name in free.split(",") if name.strip()]
     with progress() as report:
         found = fit_api(
-            subject, measured, free=chosen, held=held, columns=column, nuts=nuts, cores=cores, progress=report
+            subject,
+            measured,
+            free=chosen,
+            held=held,
+            columns=column,
+            nuts=nuts,
+            cores=cores,
+            max_memory_GB=max_memory_GB,
+            progress=report,
         )
         found.save(folder, overwrite=overwrite)
     for sentence in (*found.verdicts, *found.fitted.sentences):
