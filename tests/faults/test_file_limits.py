@@ -155,12 +155,24 @@ def zeros_parquet(path):
     pyarrow.parquet.write_table(pyarrow.table({"time_s": np.zeros(2_000_000)}), path)
 
 
+def zeros_dicom(path):
+    """A deflated slice of which an element holds 16 MB of zeros."""
+    plane = np.zeros((4, 3), dtype=np.uint16)
+    whole = write.dicom_bytes(plane, ORIGIN, AXES[0], AXES[1], (1.0, 1.0), syntax="1.2.840.10008.1.2.1.99")
+    start = 144 + struct.unpack_from("<I", whole, 140)[0]
+    more = struct.pack("<HH2sHI", 0x7FE1, 0x1001, b"OB", 0, 16_000_000) + bytes(16_000_000)
+    deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    path.mkdir()
+    (path / "0.dcm").write_bytes(whole[:start] + deflate.compress(whole[start:] + more) + deflate.flush())
+
+
 BOMBS = {
     "a.nii.gz": ("image", zeros_nifti),
     "b.nrrd": ("image", zeros_nrrd),
     "c.npz": ("log", lambda p: np.savez_compressed(p, time_s=np.zeros(2_000_000))),
     "d.h5": ("log", zeros_h5),
     "e.parquet": ("log", zeros_parquet),
+    "dicom": ("image", zeros_dicom),
 }
 
 
@@ -168,9 +180,10 @@ BOMBS = {
 def test_a_file_that_inflates_beyond_the_limit_is_refused(tmp_path, limited, name):
     reader, make = BOMBS[name]
     make(tmp_path / name)
-    assert (tmp_path / name).stat().st_size < 0.02e9 * BOMB_GB
+    stored = sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file())
+    assert stored < 0.02e9 * BOMB_GB
     outcome, message = limited.read(reader, tmp_path / name)
-    assert outcome == "refused" and "--max-memory-GB" in message and f"{BOMB_GB:g} GB" in message, message
+    assert outcome == "refused" and "--max-memory-GB" in message and f"{SMALLER_GB:g} GB of memory" in message, message
 
 
 @pytest.mark.slow
