@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from meshes.base.child_process import kill_with_parent, python_command, start_code
 from meshes.base.errors import DamagedFileError, InputError
+from meshes.base.file_limits import memory_limit_bytes, require_regular
 
 __all__ = ["Answer", "parse_isolated"]
 
@@ -71,6 +72,8 @@ def parse_isolated(
             f"file must be read by a second Python, which this one cannot start, got {file.name}: read it from the "
             "command line"
         )
+    if not file.is_dir():
+        require_regular(file)
     size = sum(each.stat().st_size for each in (file.rglob("*") if file.is_dir() else [file]) if each.is_file())
     limit_s = longest_s if longest_s is not None else _LONGEST_S + size / _BYTES_A_SECOND
     request = json.dumps([parser, str(file.absolute()), options])
@@ -109,7 +112,7 @@ class _Monitor:
         import psutil
 
         self.reason, self.done = "", Event()
-        most_bytes = min(most_bytes, int(0.8 * psutil.virtual_memory().available))
+        most_bytes = min(most_bytes, memory_limit_bytes())
 
         def end_when_over() -> None:
             """Look at the process until `done` is set, and kill it with a reason once it is over a limit."""

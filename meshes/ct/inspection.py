@@ -14,6 +14,8 @@ AIR_HU, SOFT_HU = (-1100, -900), (-150, 150)
 """Ranges in which air, and fat to muscle, lie in any CT [HU]."""
 METAL_HU = 3000
 """Above it lies no tissue: enamel, the densest, reaches about 2800 HU at 120 kV (M)."""
+_COARSE_MM = 5.0
+"""Distance of slices from which a person is told that they are coarse."""
 _LEAST_METAL = 8
 """Voxels: fewer are noise."""
 _LEAST_SHARE = 1e-3
@@ -102,6 +104,11 @@ class Inspection:
             f"values from {self.lowest:g} to {self.highest:g}"
             + (", Hounsfield units by their air and soft tissue" if self.is_hounsfield else ", not Hounsfield units"),
         ]
+        if max(self.spacing_mm) >= _COARSE_MM:
+            found.append(
+                f"voxels up to {max(self.spacing_mm):.4g} mm apart are coarse: the bone between them is interpolated, "
+                "and thin parts are lost"
+            )
         if self.noise is not None:
             found.append(f"noise of soft tissue: {self.noise:.3g} HU (standard deviation between neighbours)")
         if self.metal_mm is not None:

@@ -47,6 +47,8 @@ class BoneOfImage:
         Points [m] of each face at which the edge of the image cuts it off.
     notes
         A sentence each.
+    label_mm3
+        Volume of the voxels of the label or of what lies above the threshold [mm3].
     """
 
     image: Image
@@ -55,6 +57,7 @@ class BoneOfImage:
     triangles: tuple[NDArray[np.float64], NDArray[np.int64]]
     cuts: tuple[NDArray[np.float64], ...]
     notes: tuple[str, ...]
+    label_mm3: float
 
     @property
     def volume_mm3(self) -> float:
@@ -128,7 +131,8 @@ def cropped(image: Image, box_mm: Box) -> Image:
 def by_label(image: Image, mask: NDArray[np.bool_]) -> BoneOfImage:
     """The bone that a label marks; `mask` has the image's shape.
 
-    The steps of the label are smoothed away, and the surface is laid so that the label's volume is kept.
+    The steps of the label are smoothed away. The level of the surface leaves as many voxels above it as the label has;
+    the volume within the triangles differs from the label's by under 1 % where voxels are small against the bone.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -139,7 +143,7 @@ def by_label(image: Image, mask: NDArray[np.bool_]) -> BoneOfImage:
     field = gaussian_filter(mask.astype(np.float32), sigmas, mode="nearest")
     count = int(mask.sum())
     level = float(np.partition(field, field.size - count, axis=None)[field.size - count])
-    return _laid(part, field, level, _of_pieces(other))
+    return _laid(part, field, level, _of_pieces(other), count)
 
 
 def by_threshold(image: Image, threshold: float) -> BoneOfImage:
@@ -155,7 +159,7 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
     step = max(0.1 * abs(threshold), 1.0)
     field[whole & (field <= threshold) & ~(binary_dilation(~whole) & ~piece)] = threshold + step
     field[~binary_dilation(whole)] = np.minimum(field, threshold - step)[~binary_dilation(whole)]
-    return _laid(part, field, threshold, _of_pieces(other))
+    return _laid(part, field, threshold, _of_pieces(other), int(whole.sum()))
 
 
 def _of_pieces(other: float) -> list[str]:
@@ -165,14 +169,15 @@ def _of_pieces(other: float) -> list[str]:
     return [f"The next piece has {other:.0%} of the size of the one that was taken: crop to the bone that is meant."]
 
 
-def _laid(part: Image, field: NDArray[np.float32], level: float, notes: list[str]) -> BoneOfImage:
-    """The bone where a field is above a level."""
+def _laid(part: Image, field: NDArray[np.float32], level: float, notes: list[str], voxels: int) -> BoneOfImage:
+    """The bone where a field is above a level, which a label or threshold marks in so many voxels."""
     imaged = replace(part, values=field)
     triangles = image_triangles(imaged, threshold=level)
     cuts = image_cuts(imaged, threshold=level)
     if cuts:
         notes.append(f"The bone is cut off at {counted(len(cuts), 'place')} by the edge of the image or of the crop.")
-    return BoneOfImage(part, field, level, triangles, cuts, tuple(notes))
+    marked_mm3 = voxels * float(np.prod(part.spacing_mm))
+    return BoneOfImage(part, field, level, triangles, cuts, tuple(notes), marked_mm3)
 
 
 def _around(image: Image, mask: NDArray[np.bool_]) -> tuple[Image, NDArray[np.bool_]]:

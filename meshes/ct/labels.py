@@ -113,7 +113,8 @@ def read_labels(path: str | Path, *, names: str | Path | None = None, spacing_mm
         raise InputError(
             f"names must name every label of {image.source}, got none for {by(unknown[:5])}: add them to {names}"
         )
-    return Labels(replace(image, values=values), {number: stated.get(number, f"label {number}") for number in held})
+    known = {number: stated.get(number, f"label {number}") for number in held}
+    return Labels(replace(image, values=values, notes=(*image.notes, *_shared(known, image.source))), known)
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
@@ -178,7 +179,19 @@ def _of_masks(folder: Path) -> Labels:
     assert whole is not None
     if not names:
         raise InputError(f"labels must mark something, got empty masks only in {folder.name}: export the segmentation")
-    return Labels(replace(whole, notes=tuple(notes)), names)
+    return Labels(replace(whole, notes=(*notes, *_shared(names, folder.name))), names)
+
+
+def _shared(names: Mapping[int, str], source: str) -> list[str]:
+    """Return a note on each name that several labels have."""
+    numbers: dict[str, list[int]] = {}
+    for number, name in names.items():
+        numbers.setdefault(name, []).append(number)
+    return [
+        f"{source} has {len(each)} labels named {name} ({', '.join(map(str, each))}): they are taken as one."
+        for name, each in numbers.items()
+        if len(each) > 1
+    ]
 
 
 def _whole(image: Image) -> NDArray[np.integer]:

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, by
+from meshes.base.file_limits import require_memory, require_regular
 
-__all__ = ["first_bytes", "is_gzip", "read_voxels", "require_size", "scaled"]
+__all__ = ["first_bytes", "is_gzip", "read_voxels", "require_size", "require_stated", "scaled"]
 
 _GZIP = b"\x1f\x8b"
 _ZLIB_OR_GZIP = 47
@@ -46,8 +47,7 @@ def read_voxels(
         If it holds fewer or more bytes than that, or is damaged.
     """
     needed = dtype.itemsize * int(np.prod(shape, dtype=object))
-    if needed > (_DENSEST if compressed else 1) * path.stat().st_size:
-        raise InputError(_sizes_differ(path, needed, f"a file of {path.stat().st_size}"))
+    require_stated(path, needed, by(shape), compressed=compressed)
     stored, at = np.empty(needed, dtype=np.uint8), 0
     for piece in _plain(path, start, compressed):
         piece, skip = piece[skip:], max(skip - len(piece), 0)
@@ -58,6 +58,31 @@ def read_voxels(
     if at < needed:
         raise InputError(_sizes_differ(path, needed, str(at)))
     return stored.view(dtype).reshape(shape, order="F").astype(dtype.newbyteorder("="), copy=False)
+
+
+def require_stated(path: Path, needed: int, shape: str, *, compressed: bool) -> None:
+    """Refuse a header that states more bytes of voxels than its data file can hold, or than the memory limit allows.
+
+    Parameters
+    ----------
+    path
+        File that holds the voxels.
+    needed
+        Bytes of the voxels by the header.
+    shape
+        Voxels along the axes, for the message.
+    compressed
+        Whether the voxels are zlib or gzip.
+
+    Raises
+    ------
+    InputError
+        If it does, or if the path leads to no regular file.
+    """
+    require_regular(path)
+    if needed > (_DENSEST if compressed else 1) * path.stat().st_size:
+        raise InputError(_sizes_differ(path, needed, f"a file of {path.stat().st_size}"))
+    require_memory(needed, path.name, f"{shape} voxels")
 
 
 def require_size(path: Path, start: int, needed: int, *, compressed: bool) -> None:

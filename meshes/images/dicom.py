@@ -6,16 +6,18 @@ identifiers into those. The folder's name is the user's.
 """
 
 import warnings
+import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, by
+from meshes.base.file_limits import memory_limit_bytes, require_memory
 from meshes.images.dicom_stack import Slice, stack_step
+from meshes.images.dicom_values import INVERTED, Header, both_ends, number, numbers, replace_padding, upright
 from meshes.images.frame import StoredImage
 from meshes.images.itk import array_of, itk_reader
 
@@ -31,6 +33,7 @@ _READ = (
     "Rows",
     "Columns",
     "BitsAllocated",
+    "BitsStored",
     "PixelRepresentation",
     "ImagePositionPatient",
     "ImageOrientationPatient",
@@ -42,10 +45,10 @@ _READ = (
     "RescaleSlope",
     "PixelData",
 )
-Header = Mapping[str, Any]
-"""Elements of a file by name."""
-
+_GREY = ("MONOCHROME2", INVERTED)
 _MAGIC, _PREAMBLE = b"DICM", 128
+_GROUP_LENGTH_BYTES = 12
+_PIECE = 1 << 20
 _UNDEFINED_LENGTH = 0xFFFFFFFF
 
 
@@ -72,21 +75,34 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
         files, places, headers = [files[k] for k in chosen], [places[k] for k in chosen], [headers[k] for k in chosen]
     _require_one_series(headers, folder)
     slices = [_slice(header, place) for header, place in zip(headers, places, strict=True)]
+    if len({header["PhotometricInterpretation"] for header in headers}) > 1:
+        raise InputError(
+            f"slices must all have one photometric interpretation, got {' and '.join(_GREY)} in {folder.name}: export "
+            "the series again"
+        )
+    size = (*slices[0].size, len(slices))
+    most_bytes = max(int(header["BitsAllocated"] or 0) for header in headers) // 8
+    require_memory(
+        sum(int(np.prod(s.size, dtype=object)) for s in slices) * most_bytes, folder.name, f"{by(size)} voxels"
+    )
     order, step, notes = stack_step(slices, folder.name)
     planes, padded = [], 0
     for k in order:
         plane = _pixels(files[k], slices[k])
-        padded += _replace_padding(plane, headers[k], places[k])
+        padded += replace_padding(plane, headers[k], places[k])
         planes.append(plane)
     if padded:
         notes.append(f"{padded} voxels of {folder.name} are padding: they take the lowest value of their slice.")
     if any(header["RescaleSlope"] is None for header in headers):
         notes.append(f"{folder.name} states no rescale slope: its grey values are taken as they are stored.")
+    values = np.concatenate(planes, axis=0)
+    if headers[0]["PhotometricInterpretation"] == INVERTED:
+        values, note = upright(values, [both_ends(headers[k], places[k]) for k in order], headers[0], folder.name)
+        notes.append(note)
     first = slices[order[0]]
     spacing = float(np.linalg.norm(step))
     directions = np.column_stack([first.row, first.column, step / spacing])
-    values = np.concatenate(planes, axis=0).T
-    return StoredImage(values, (*first.pixel_mm, spacing), directions, first.position_mm, tuple(notes))
+    return StoredImage(values.T, (*first.pixel_mm, spacing), directions, first.position_mm, tuple(notes))
 
 
 def _may_be_slice(file: Path) -> bool:
@@ -106,6 +122,7 @@ def _header(file: Path, place: str) -> Header:
     try:
         with warnings.catch_warnings():  # they quote what they complain of
             warnings.simplefilter("ignore")
+            _require_inflated(file)
             dataset = pydicom.dcmread(file, specific_tags=list(_READ))
             compressed = dataset.file_meta.TransferSyntaxUID.is_compressed
             pixels = dataset.get_item("PixelData")
@@ -117,6 +134,8 @@ def _header(file: Path, place: str) -> Header:
             header = {key: dataset.get(key) for key in _READ}
             counts = [header[key] for key in ("Rows", "Columns", "SamplesPerPixel", "BitsAllocated")]
             needed = int(np.prod([int(n) for n in counts], dtype=object)) // 8 * int(header["NumberOfFrames"] or 1)
+    except InputError:
+        raise
     except Exception as problem:  # damaged headers raise many kinds
         raise InputError(_damaged(place)) from problem
     if compressed != in_parts:
@@ -127,6 +146,22 @@ def _header(file: Path, place: str) -> Header:
             "export the series again"
         )
     return header
+
+
+def _require_inflated(file: Path) -> None:
+    """Refuse a deflated file that inflates beyond the memory limit: pydicom inflates it at once."""
+    import pydicom
+
+    meta = pydicom.filereader.read_file_meta_info(file)
+    if meta.TransferSyntaxUID != pydicom.uid.DeflatedExplicitVRLittleEndian:
+        return
+    start = _PREAMBLE + len(_MAGIC) + _GROUP_LENGTH_BYTES + int(meta.FileMetaInformationGroupLength)
+    limit, found, inflate = memory_limit_bytes(), 0, zlib.decompressobj(-zlib.MAX_WBITS)
+    packed = file.read_bytes()[start:]
+    while packed and not inflate.eof and found <= limit:
+        found += len(inflate.decompress(packed, _PIECE))
+        packed = inflate.unconsumed_tail
+    require_memory(found, file.parent.name, "a deflated slice")
 
 
 def _damaged(place: str) -> str:
@@ -172,43 +207,22 @@ def _slice(header: Header, place: str) -> Slice:
         raise InputError(
             f"a DICOM slice must hold one frame, got several in {place}: export one file a slice, or as .nrrd"
         )
-    if (header["PhotometricInterpretation"], header["SamplesPerPixel"]) != ("MONOCHROME2", 1):
+    if header["PhotometricInterpretation"] not in _GREY or header["SamplesPerPixel"] != 1:
         raise InputError(
-            f"a DICOM slice must hold grey values (MONOCHROME2), got other values in {place}: take it out, or export "
-            "grey values"
+            f"a DICOM slice must hold grey values (MONOCHROME2 or MONOCHROME1), got other values in {place}: take it "
+            "out, or export grey values"
         )
-    both = _numbers(header, "ImageOrientationPatient", 6, place)
-    down, along = _numbers(header, "PixelSpacing", 2, place).tolist()
+    both = numbers(header, "ImageOrientationPatient", 6, place)
+    down, along = numbers(header, "PixelSpacing", 2, place).tolist()
     return Slice(
-        position_mm=_numbers(header, "ImagePositionPatient", 3, place),
+        position_mm=numbers(header, "ImagePositionPatient", 3, place),
         row=both[:3],
         column=both[3:],
         pixel_mm=(along, down),
         size=(int(header["Columns"]), int(header["Rows"])),
-        tilt_deg=_number(header, "GantryDetectorTilt", 0.0, place),
+        tilt_deg=number(header, "GantryDetectorTilt", 0.0, place),
         place=place,
     )
-
-
-def _numbers(header: Header, key: str, count: int, place: str) -> NDArray[np.float64]:
-    """The finite numbers of an element."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = np.atleast_1d(np.array(header[key], dtype=np.float64))
-    except (TypeError, ValueError, OverflowError):
-        found = np.empty(0)
-    if found.shape != (count,) or not np.isfinite(found).all():
-        raise InputError(
-            f"{key} must be {count} finite {'number' if count == 1 else 'numbers'}, got none or others in {place}: "
-            "export the series again"
-        )
-    return found
-
-
-def _number(header: Header, key: str, absent: float, place: str) -> float:
-    """One number of an element, or what stands for it where it is absent or empty."""
-    return absent if header[key] in (None, "") else float(_numbers(header, key, 1, place)[0])
 
 
 def _pixels(file: Path, stated: Slice) -> NDArray[np.number]:
@@ -220,19 +234,3 @@ def _pixels(file: Path, stated: Slice) -> NDArray[np.number]:
     if plane.shape != (*stated.size, 1):
         raise InputError(_damaged(stated.place))
     return plane.T
-
-
-def _replace_padding(plane: NDArray[np.number], header: Header, place: str) -> int:
-    """Give voxels of the padding value the lowest other value, in place, and count them."""
-    if header["PixelPaddingValue"] in (None, ""):
-        return 0
-    first = _number(header, "PixelPaddingValue", 0.0, place)
-    last = _number(header, "PixelPaddingRangeLimit", first, place)
-    slope, intercept = (_number(header, "RescaleSlope", 1.0, place), _number(header, "RescaleIntercept", 0.0, place))
-    low, high = sorted((slope * first + intercept, slope * last + intercept))
-    half = 0.5 * abs(slope)
-    padding = (plane > low - half) & (plane < high + half)
-    if not padding.any() or padding.all():
-        return 0
-    plane[padding] = plane[~padding].min()
-    return int(np.count_nonzero(padding))

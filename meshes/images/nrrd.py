@@ -1,8 +1,11 @@
 """NRRD images: read by ITK, after what it passes over in silence has been checked."""
 
+import re
+from math import prod
 from pathlib import Path
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, by
+from meshes.base.file_limits import require_memory, require_regular
 from meshes.images.data import require_size
 from meshes.images.frame import StoredImage
 from meshes.images.itk import header_lines, length_unit_mm, numbers, read_by_itk
@@ -13,6 +16,22 @@ _PATIENT = ("left-posterior-superior", "right-anterior-superior", "left-anterior
 _NO_PATIENT = ("", "scanner-xyz", "3d-right-handed")
 _IN_SPACE = ("domain", "space", "none", "???")
 _CHECKED = ("raw", "gzip", "gz")
+_MOST_PER_BYTE = {"raw": 1.0, "gzip": 1100.0, "gz": 1100.0, "hex": 0.5}
+_MOST_PER_BYTE |= dict.fromkeys(("ascii", "text", "txt"), 4.0)
+"""Bytes of voxels that a byte of a data file can hold: deflate makes at most 1032 bytes of one, and text of two
+characters is one number of at most 8 bytes."""
+_BYTES = {
+    **dict.fromkeys(("char", "uchar", "unsigned char", "int8", "int8_t", "uint8", "uint8_t"), 1),
+    **dict.fromkeys(("short", "short int", "int16", "int16_t"), 2),
+    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), 2),
+    **dict.fromkeys(("int", "int32", "int32_t", "uint", "unsigned int", "uint32", "uint32_t", "float"), 4),
+    **dict.fromkeys(("longlong", "long long", "long long int", "int64", "int64_t"), 8),
+    **dict.fromkeys(("ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t", "double"), 8),
+}
+"""Bytes of a voxel by its type as NRRD names it."""
+_PATTERN = re.compile(r"([^%]*%0?\d?d[^%]*?)\s+(-?\d{1,9})\s+(-?\d{1,9})\s+(-?\d{1,9})(?:\s+\d+)?$")
+_MOST_FILES = 100_000
+_LONGEST_LIST = 1 << 22
 _SCALED = ("old min", "oldmin", "old max", "oldmax")
 
 
@@ -44,8 +63,11 @@ def read_nrrd(path: Path) -> StoredImage:
         numbers(fields, key, path)
     numbers(fields, "spacings", path, positive=True)
     unit = length_unit_mm((fields.get("space units") or fields.get("units") or "").split(), path)
-    stored = read_by_itk(path, "NrrdImageIO", unit_mm=unit, notes=_notes(fields, path))
-    _require_data(fields, path, start, stored.values.nbytes)
+    notes = _notes(fields, path)
+    needed = _require_data(fields, path, start)
+    stored = read_by_itk(path, "NrrdImageIO", unit_mm=unit, notes=notes)
+    if stored.values.nbytes != needed:
+        raise InputError(f"file must hold the voxels its header states, got others in {path.name}: export it again")
     return stored
 
 
@@ -61,15 +83,65 @@ def _notes(fields: dict[str, str], path: Path) -> tuple[str, ...]:
     return ()
 
 
-def _require_data(fields: dict[str, str], path: Path, start: int, needed: int) -> None:
-    """Refuse a data file that holds more than the header states, or does not fit its checksum; ITK refuses less."""
+def _stated_bytes(fields: dict[str, str], path: Path) -> tuple[int, str]:
+    """Return the bytes of the voxels by the header, and the voxels along the axes in words."""
+    sizes = numbers(fields, "sizes", path, positive=True) or []
+    kind = fields.get("type", "").lower().removeprefix("signed ")
+    if len(sizes) != 3 or any(size != int(size) for size in sizes) or kind not in _BYTES:
+        raise InputError(
+            f"sizes must be three whole numbers and type one real number, got {fields.get('sizes', 'nothing')} and "
+            f"{fields.get('type', 'nothing')} in {path.name}: export it again"
+        )
+    return _BYTES[kind] * prod(int(size) for size in sizes), by(sizes)
+
+
+def _data_files(fields: dict[str, str], path: Path) -> list[Path]:
+    """Return the files that hold the voxels: the file itself, the one it names, those of a pattern or of a list."""
     name = fields.get("data file", fields.get("datafile"))
+    if name is None:
+        return [path]
+    pattern = _PATTERN.match(name)
+    if pattern is not None:
+        first, last, step = (int(number) for number in pattern.groups()[1:])
+        if step == 0 or not 0 <= (last - first) // step < _MOST_FILES:
+            raise InputError(f"data file must count files, got {name[:60]} in {path.name}: export it again")
+        names = [pattern[1] % number for number in range(first, last + (1 if step > 0 else -1), step)]
+    elif name.split()[:1] == ["LIST"]:
+        with path.open("rb") as stream:
+            lines = stream.read(_LONGEST_LIST).decode("utf-8", "replace").splitlines()
+        start = next(k for k, line in enumerate(lines) if re.match(r"data ?file:", line, re.IGNORECASE))
+        names = [line.strip() for line in lines[start + 1 :] if line.strip()]
+    else:
+        names = [name]
+    return [path.parent / each for each in names]
+
+
+def _require_data(fields: dict[str, str], path: Path, start: int) -> int:
+    """Refuse voxels that are fewer or more than the header states, and return their bytes.
+
+    The check comes before ITK, which allocates what the header states. Of compressed voxels the inflated bytes are
+    counted without being kept. Where bytes are skipped or several files hold the voxels, only the possible size is
+    checked here; ITK refuses fewer.
+    """
+    needed, shape = _stated_bytes(fields, path)
+    files = [require_regular(file) for file in _data_files(fields, path)]
+    missing = next((file for file in files if not file.is_file()), None)
+    if missing is not None:
+        raise InputError(
+            f"the voxels of {path.name} must lie in the files it names, got {missing.name[:60]}, which is not there: "
+            "copy it there"
+        )
+    encoding = fields.get("encoding", "").lower()
+    held = sum(file.stat().st_size for file in files)
+    if needed > _MOST_PER_BYTE.get(encoding, 0) * held:
+        raise InputError(
+            f"file must hold the {needed} bytes of voxels its header states, got {held} bytes of encoding "
+            f"{encoding[:20] or 'none'} in {path.name}: export it again"
+        )
+    require_memory(needed, path.name, f"{shape} voxels")
     skips = any(
         fields.get(key.replace(" ", gap), "0") != "0" for key in ("line skip", "byte skip") for gap in (" ", "")
     )
-    if skips or (name is not None and not (path.parent / name).is_file()):
-        return
-    data, first = (path, start) if name is None else (path.parent / name, 0)
-    encoding = fields.get("encoding", "").lower()
-    if encoding in _CHECKED:
-        require_size(data, first, needed, compressed=encoding != "raw")
+    if encoding in _CHECKED and len(files) == 1 and not skips:
+        require_size(files[0], start if files[0] == path else 0, needed, compressed=encoding != "raw")
+    return needed

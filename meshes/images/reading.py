@@ -1,17 +1,17 @@
 """Image volumes from files: the reader of each format, and what is refused of all of them."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from meshes.base.errors import InputError, by, is_file, is_folder, require_file, require_positive
+from meshes.base.errors import InputError, by, is_file, is_folder, require_positive
 from meshes.images.dicom import read_dicom
 from meshes.images.frame import Image, StoredImage, along_lps
 from meshes.images.metaimage import read_metaimage
 from meshes.images.nifti import read_nifti
 from meshes.images.nrrd import read_nrrd
+from meshes.images.tiff import read_tiff_slices, tiff_slices
 from meshes.images.vtk import read_vtk_image
 
 __all__ = ["Image", "read_image", "require_image_name"]
@@ -40,7 +40,7 @@ def read_image(
     ----------
     path
         Image file; folder with a DICOM series or TIFF slices; or a pattern of TIFF slices (`slices/*.tif`). TIFF slices
-        count upward in z in the order of their names.
+        count upward in z in the order of the numbers in their names.
     spacing_mm
         Distance between neighbours [mm] in all directions; None: what the file states. TIFF files state none.
     labels
@@ -58,13 +58,14 @@ def read_image(
         None if spacing_mm is None else require_positive("anatomy.spacing_mm", spacing_mm, "use the scanner's value")
     )
     path = Path(path)
-    slices, source = _tiff_slices(path), path.name
+    slices, source = tiff_slices(path), path.name
     if slices and given is None:
         raise InputError(
             f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for "
             f"{source}: use the scanner's value, for example 0.0195"
         )
-    stored = _stacked(slices, given) if slices and given is not None else _stored(path, series)
+    has_slices = slices and given is not None
+    stored = read_tiff_slices(slices, given, labels=labels) if has_slices else _stored(path, series)
     if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
         note = f"The spacing in {source} is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
         stored = replace(stored, notes=(*stored.notes, note))
@@ -105,36 +106,3 @@ def require_image_name(path: Path) -> None:
     known = (*_READERS, ".tif", ".tiff")
     if is_file(path) and not path.name.lower().endswith(known):
         raise InputError(f"file must be an image volume of a known format, got {path.name}: {_REMEDY}")
-
-
-def _tiff_slices(path: Path) -> list[Path]:
-    """TIFF files meant by a path: the file, the slices in the folder, or those that match the pattern."""
-    if any(mark in path.name for mark in "*?["):
-        found = sorted(path.parent.glob(path.name))
-        if not found:
-            raise InputError(f"file must exist, got {path}, which matches nothing: check the folder and the pattern")
-        return found
-    if not is_folder(path):
-        require_file(path, "an image")
-    files = sorted(path.iterdir()) if is_folder(path) else [path]
-    return [file for file in files if file.suffix.lower() in (".tif", ".tiff")]
-
-
-def _stacked(files: Sequence[Path], spacing_mm: float) -> StoredImage:
-    """TIFF slices in the order given, the axes of the array along columns, rows and slices."""
-    from skimage.io import imread
-
-    planes = []
-    for file in files:
-        try:
-            planes.append(np.atleast_3d(imread(file).T))
-        except Exception as problem:  # the readers raise many kinds, none documented
-            raise InputError(
-                f"file must be a readable TIFF slice, got {file.name} (it is damaged or cut off): export it again"
-            ) from problem
-        if planes[-1].shape[:2] != planes[0].shape[:2]:
-            raise InputError(
-                f"slices must all have the same size, got {by(planes[-1].shape[:2])} in {file.name} "
-                f"after {by(planes[0].shape[:2])}: keep other images out of the folder"
-            )
-    return StoredImage(np.concatenate(planes, axis=2), (spacing_mm,) * 3, np.eye(3), np.zeros(3))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import memory_limit
 from meshes.shapes.anatomy import cortical_block
 from meshes.voxels.density_volume import density_volume
 from meshes.voxels.volume import VoxelVolume
@@ -175,6 +176,7 @@ class Bone:
         threshold: float,
         density_kg_m3: float = 1800.0,
         spacing_mm: float | None = None,
+        max_memory_GB: float | None = None,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
         """Bone of an image volume: what lies above a grey value, of one density, in the patient's frame (LPS, mm).
@@ -182,13 +184,15 @@ class Bone:
         Parameters
         ----------
         file
-            Image (.nii .nii.gz .nrrd .mhd .mha .vti) or a folder with a DICOM series.
+            Image (.nii .nii.gz .nrrd .mhd .mha .vti), or folder with a DICOM series or TIFF slices.
         threshold
             Grey value above which a voxel is bone: about 200 HU of a CT.
         density_kg_m3
             Apparent density of the bone, 50 to 20000 kg/m3.
         spacing_mm
-            Edge of a voxel [mm] to resample to; default the finest of the file's.
+            Edge of a voxel [mm] to resample to; default the finest of the file's. Of TIFF slices, their own.
+        max_memory_GB
+            Memory that the image may take [GB]; default half of the free memory.
         options
             As of `from_file`.
 
@@ -197,7 +201,8 @@ class Bone:
         InputError
             If the file cannot be read, nothing lies above the threshold, or it would not fit memory.
         """
-        source = image_source(Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm)
+        with memory_limit(max_memory_GB):
+            source = image_source(Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm)
         return cls(source, **options)
 
     def cut(self, tool: Cutter, poses: ArrayLike, times_s: ArrayLike, *, axis: ArrayLike | None = None) -> Cut:

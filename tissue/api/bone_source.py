@@ -105,14 +105,18 @@ def surface_source(
 
 
 def image_source(path: Path, *, threshold: float, density_kg_m3: float, spacing_mm: float | None) -> BoneSource:
-    """An image volume, see `tissue.api.bone.Bone.from_image`."""
+    """An image volume, see `tissue.api.bone.Bone.from_image`.
+
+    TIFF slices state no spacing: `spacing_mm` is then that of their voxels.
+    """
     from meshes.images.bone_image import image_volume
     from meshes.images.reading import read_image
+    from meshes.images.tiff import tiff_slices
 
     remarks: list[str] = []
     with _own_names():
         found = image_volume(
-            read_image(path),
+            read_image(path, spacing_mm=spacing_mm if tiff_slices(path) else None),
             threshold=threshold,
             density_kg_m3=density_kg_m3,
             resample_mm=spacing_mm,

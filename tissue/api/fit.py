@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from meshes.base.file_limits import memory_limit
 from tissue.api.progress import Bar, reporting
 from tissue.fitting.fit import SceneFit, fit_scene
 from tissue.fitting.fit_files import verdicts, write_fit
@@ -70,6 +71,7 @@ def fit(
     free: Sequence[str] = (),
     columns: Sequence[str] | Mapping[str, str] = (),
     cores: int | None = None,
+    max_memory_GB: float | None = None,
     progress: Bar = None,
 ) -> Fit:
     """Find the constants of a scene's material from a measured log of poses and forces.
@@ -86,6 +88,8 @@ def fit(
         Columns of other names or units: ``{"force_x_N": "-Fx:mN"}``.
     cores
         Processor cores to use; default all.
+    max_memory_GB
+        Memory that the log may take [GB]; default half of the free memory.
     progress
         Whether a bar is shown, or what is called with what is being done.
 
@@ -97,5 +101,6 @@ def fit(
     maps = [f"{name}={column}" for name, column in columns.items()] if isinstance(columns, Mapping) else list(columns)
     with reporting(progress) as report:
         report("reading the log", 0.0)
-        log = read_log(Path(measured), maps)
+        with memory_limit(max_memory_GB):
+            log = read_log(Path(measured), maps)
         return Fit(fit_scene(scene, log, free=free, cores=cores, progress=report))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from tissue.materials.constants import Entry, add_material, constants, listed
 from tissue.scene.named_parts import nearest, shown
 from tissue.scene.registry import CUTTERS, CUTTING_MATERIALS, ORGAN_MATERIALS, SCENES, TABLES
@@ -209,6 +210,7 @@ def _problem(entry: Any) -> str:
 
 def _table(path: Path, kind: str) -> dict[str, Any]:
     """A TOML file."""
+    require_regular(path)
     try:
         return tomllib.loads(path.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

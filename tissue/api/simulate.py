@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import memory_limit
 from tissue.api.progress import Bar, reporting
 from tissue.api.run import Run
 from tissue.builders.device import opened_device
@@ -79,6 +80,7 @@ def simulate(
     overwrite: bool = False,
     progress: Bar = None,
     allow_unstable: bool = False,
+    max_memory_GB: float | None = None,
     device: Device | SafeDevice | None = None,
     on_tick: Callable[[int, TickRow], object] | None = None,
     observer: engine.RunObserver | None = None,
@@ -103,6 +105,8 @@ def simulate(
         without it a notebook shows a bar.
     allow_unstable
         Run a device whose coupling is judged unstable, too.
+    max_memory_GB
+        Memory that a file of the scene may take [GB]; default half of the free memory.
     device
         Device to read and to play instead of the one that the scene names, by whose limits it is judged; without it a
         simulated one, or what was registered opens. See `tissue.simulation.simulate.simulate` for how it is held.
@@ -121,7 +125,7 @@ def simulate(
     if on_tick is not None and observer is not None:
         raise InputError("on_tick must be left out with observer, got both: call it from the observer's on_tick")
     chosen: dict[str, str] = {}
-    with reporting(progress) as report:
+    with memory_limit(max_memory_GB), reporting(progress) as report:
         if scene.fidelity is not None:
             from tissue.evaluation.charts.fidelity import with_fidelity
 

@@ -20,6 +20,7 @@ def fit(
     column: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     set_: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     cores: Annotated[int | None, Parameter(converter=whole)] = None,
+    max_memory_GB: Annotated[float | None, Parameter(name="--max-memory-GB")] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Find the constants of a scene's material from a measured force log.
@@ -40,6 +41,8 @@ def fit(
         KEY=VALUE, replaces an entry of the scene; may be repeated.
     cores
         Processor cores to use; default all.
+    max_memory_GB
+        Memory that the log may take, in GB; default half of the free memory.
     overwrite
         Replace another fit in the folder.
     """
@@ -54,7 +57,15 @@ def fit(
     prepare_folder(folder, FILES, "fit", overwrite=overwrite)
     chosen = [name.strip() for name in free.split(",") if name.strip()]
     with progress() as report:
-        found = fit_api(subject, measured, free=chosen, columns=column, cores=cores, progress=report)
+        found = fit_api(
+            subject,
+            measured,
+            free=chosen,
+            columns=column,
+            cores=cores,
+            max_memory_GB=max_memory_GB,
+            progress=report,
+        )
         found.save(folder, overwrite=overwrite)
     for sentence in (*found.verdicts, *found.fitted.sentences):
         console.print(sentence)

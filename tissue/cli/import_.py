@@ -31,6 +31,7 @@ def import_(
     keep_clear: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     like: str | None = None,
     part: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    max_memory_GB: Annotated[float | None, Parameter(name="--max-memory-GB")] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Make a scene of a person's own CT.
@@ -74,6 +75,8 @@ def import_(
         Scene whose tool and motion are taken; default by the site.
     part
         NAME=KPA: label in a soft organ and its Young's modulus; may be repeated.
+    max_memory_GB
+        Memory that an image may take, in GB; default half of the free memory.
     overwrite
         Replace another import in the folder.
     """
@@ -88,7 +91,7 @@ def import_(
             density=density, site=_three(_numbers("site", site, 3, "X,Y,Z")) if site and "," in site else site,
             normal=None if normal is None else _three(_numbers("normal", normal, 3, "X,Y,Z")), coordinates=coordinates,
             path=path, feed_mm_s=feed_mm_s, keep_clear=keep_clear, like=like, parts=dict(map(_part, part)),
-            overwrite=overwrite, progress=shown,
+            max_memory_GB=max_memory_GB, overwrite=overwrite, progress=shown,
         )  # fmt: skip
     for sentence in made.sentences:
         console.print(sentence)

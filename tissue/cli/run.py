@@ -44,6 +44,7 @@ def run(
     slicer_port: Annotated[int | None, Parameter(converter=whole)] = None,
     slicer_drives: Annotated[bool, Parameter(negative="")] = False,
     ros2: Annotated[bool, Parameter(negative="")] = False,
+    max_memory_GB: Annotated[float | None, Parameter(name="--max-memory-GB")] = None,
     overwrite: Annotated[bool, Parameter(negative="")] = False,
     allow_unstable: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
@@ -95,11 +96,14 @@ def run(
         With --slicer: the transform tissue-target of 3D Slicer moves the tool, and no window opens.
     ros2
         With --live: publish pose, velocity and force on topics of ROS 2, /tissue/measured_cp and so on.
+    max_memory_GB
+        Memory that a file of the scene may take, in GB; default half of the free memory.
     overwrite
         Replace the run that the folder already holds.
     allow_unstable
         Run a device whose coupling is unstable, too.
     """
+    from meshes.base.file_limits import memory_limit
     from tissue.simulation.picture_format import picture_format
     from tissue.simulation.run_folder import RunFolder
     from tissue.simulation.trace_files import check_format
@@ -130,7 +134,7 @@ def run(
     settings: _Settings = {
         "compute": compute, "cores": cores, "out": folder, "overwrite": overwrite, "allow_unstable": allow_unstable,
     }  # fmt: skip
-    with _naming_stop(folder):
+    with memory_limit(max_memory_GB), _naming_stop(folder):
         finished = _simulated(loaded, settings, live=live, web=web, link=link, ros2=ros2, duration_s=duration_s)
         simulated = perf_counter()
         with progress() as report:

@@ -9,7 +9,8 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, is_file
-from meshes.base.text_numbers import require_distinct_columns
+from meshes.base.file_limits import read_npz, require_memory
+from meshes.base.isolated_parser import parse_isolated
 from tissue.fitting.columns import ColumnMap, Quantity
 from tissue.fitting.log_text import read_text
 from tissue.motion.drilling_recording import read_drilling
@@ -18,6 +19,8 @@ __all__ = ["LogColumns", "read_columns"]
 
 DRILLING = ("physics_data", "high_frequency_poses")
 """Groups by which a recording of volumetric_drilling is known."""
+_BYTES = 8
+"""Of a number in memory."""
 POSE_NAMES = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 LOAD_NAMES = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
 
@@ -77,6 +80,7 @@ def read_columns(path: Path) -> LogColumns:
     """
     if not is_file(path):
         raise InputError(f"measured must be an existing file, got {path}: give a log such as a run's trace.csv")
+    require_memory(path.stat().st_size, path.name, "text or numbers")
     kind = path.suffix.lower()
     if kind not in READERS:
         known = ", ".join(READERS)
@@ -110,29 +114,28 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
 
 
 def _parquet(path: Path) -> LogColumns:
-    table = _module("pyarrow.parquet", "parquet").read_table(path)
+    parquet = _module("pyarrow.parquet", "parquet")
+    about = parquet.ParquetFile(path).metadata
+    chunks = [about.row_group(k).column(j) for k in range(about.num_row_groups) for j in range(about.num_columns)]
+    needed = sum(max(_BYTES * chunk.num_values, chunk.total_uncompressed_size) for chunk in chunks)
+    require_memory(max(needed, _BYTES * about.num_rows * about.num_columns), path.name, f"{about.num_rows:.3g} rows")
+    table = parquet.read_table(path)
     return _held({name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names})
 
 
 def _npz(path: Path) -> LogColumns:
-    with np.load(path, allow_pickle=False) as file:
-        return _held({name: file[name] for name in file.files})
+    return _held(read_npz(path))
 
 
 def _mat(path: Path) -> LogColumns:
-    from scipy.io import loadmat
-
-    if path.read_bytes()[:10] == b"MATLAB 7.3":
+    with path.open("rb") as stream:
+        first = stream.read(10)
+    if first == b"MATLAB 7.3":
         return _structs(path)
-    found = {name: value for name, value in loadmat(path, squeeze_me=True).items() if not name.startswith("__")}
-    columns: list[tuple[str, Any]] = []
-    for name, value in found.items():
-        if getattr(value, "dtype", None) is not None and value.dtype.names:
-            columns += [(inner, value[inner].item()) for inner in value.dtype.names]
-        else:
-            columns.append((name, value))
-    require_distinct_columns([name for name, _ in columns], "measured", path)
-    return _held(dict(columns))
+    _, columns = parse_isolated(
+        "tissue.fitting.mat_columns:mat_columns", path, what=".mat file", remedy="export it again"
+    )
+    return _held(columns)
 
 
 def _h5(path: Path) -> LogColumns:
@@ -140,9 +143,11 @@ def _h5(path: Path) -> LogColumns:
     with h5py.File(path, "r") as file:
         if any(name in file for name in DRILLING):
             return _drilling(path)
-        found: dict[str, Any] = {}
-        file.visititems(lambda name, each: found.update({name: each[()]}) if isinstance(each, h5py.Dataset) else None)
-        return _held(found)
+        sets: dict[str, Any] = {}
+        file.visititems(lambda name, each: sets.update({name: each}) if isinstance(each, h5py.Dataset) else None)
+        count = sum(each.size or 0 for each in sets.values())
+        require_memory(sum(each.nbytes for each in sets.values() if each.size), path.name, f"{count:.3g} numbers")
+        return _held({name: each[()] for name, each in sets.items()})
 
 
 def _structs(path: Path) -> LogColumns:

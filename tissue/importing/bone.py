@@ -9,8 +9,10 @@ from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.ct.density import DensityLaw
 from meshes.ct.inspection import Histogram, Inspection, histogram_of, inspect
+from meshes.ct.label_check import bone_label_note
 from meshes.ct.labelled_bone import BoneOfImage, by_label, by_threshold, cropped
 from meshes.ct.labels import Labels, on_grid_of, read_labels
+from meshes.ct.laws import DENSITY_LAWS
 from meshes.ct.threshold import Suggestion, suggest_threshold
 from meshes.images.frame import Image
 from meshes.images.reading import read_image
@@ -21,6 +23,8 @@ __all__ = ["ImportedBone", "imported_bone"]
 
 _SIDE_MM = (1.0, 1000.0)
 """Longest side of what can be a bone."""
+_KEPT = 0.01
+"""Difference of volume up to which a label's volume counts as kept."""
 SHOWN_MM = 15.0
 """What pictures show around a bone."""
 
@@ -97,8 +101,10 @@ def imported_bone(
     if labels is not None and request.region is not None:
         with names_of_caller({"label": "region"}):
             mask = labels.mask(request.region)
+        if found.is_hounsfield and mask.any() and (note := bone_label_note(image, mask, request.region)):
+            sentences.append(note)
         bone = by_label(image, mask)
-        sentences.append(f"bone: label {request.region}, its steps smoothed and its volume kept")
+        sentences.append(f"bone: label {request.region}, its steps smoothed{_kept_volume(bone)}")
     else:
         suggestion = suggest_threshold(histogram, is_hounsfield=found.is_hounsfield)
         threshold = suggestion.threshold if request.threshold is None else request.threshold
@@ -125,6 +131,15 @@ def imported_bone(
         certainty,
         tuple(sentences),
     )
+
+
+def _kept_volume(bone: BoneOfImage) -> str:
+    """How the volume within the surface differs from that of the label, in words."""
+    change = bone.volume_mm3 / bone.label_mm3 - 1.0
+    if abs(change) <= _KEPT:
+        return f" and its volume of {1e-3 * bone.label_mm3:.4g} ml kept to {_KEPT:.0%}"
+    more = "more" if change > 0.0 else "less"
+    return f"; the surface encloses {abs(change):.1%} {more} than the label's volume of {1e-3 * bone.label_mm3:.4g} ml"
 
 
 def _around(image: Image, surface: Surface) -> Image:
@@ -155,6 +170,13 @@ def _law(
     sentences: list[str],
 ) -> DensityLaw | None:
     """The law of the density, from the whole image; none for an image of other units, of which density is unknown."""
+    named = request.density.strip().lower()
+    if not found.is_hounsfield and (named == "internal" or named in DENSITY_LAWS):
+        raise InputError(
+            f"density must be line:SLOPE,OFFSET for an image that is not in Hounsfield units, got {request.density} "
+            f"for {found.source} with values from {found.lowest:g} to {found.highest:g}: give the line of your "
+            "scanner, or leave it out"
+        )
     if not found.is_hounsfield and request.density == "auto":
         sentences.append(
             "density: unknown, for the values are not Hounsfield units; the bone gets a shell of even thickness. "

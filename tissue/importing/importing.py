@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import memory_limit
 from meshes.base.progress import Progress, silent
 from meshes.ct.density import DensityLaw
 from meshes.ct.labelled_bone import Box
@@ -46,6 +47,7 @@ def import_ct(
     keep_clear: Sequence[str] = (),
     like: str | None = None,
     parts: Mapping[str, float] | None = None,
+    max_memory_GB: float | None = None,
     overwrite: bool = False,
     pictures: bool = True,
     progress: Progress = silent,
@@ -94,6 +96,8 @@ def import_ct(
         Scene whose tool and motion are taken; default by the site.
     parts
         Labels in a soft organ that become parts of it, with their Young's moduli [kPa].
+    max_memory_GB
+        Memory that an image may take [GB]; default half of the free memory.
     overwrite
         Replace another import in the folder.
     pictures
@@ -111,11 +115,12 @@ def import_ct(
         spacing_mm, density, site, normal, coordinates, None if path is None else Path(path), feed_mm_s,
         tuple(keep_clear), like, dict(parts or {}),
     )  # fmt: skip
-    if request.is_tooth:
-        return import_tooth(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
-    if request.is_soft:
-        return import_organ(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
-    return _import_bone(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
+    with memory_limit(max_memory_GB):
+        if request.is_tooth:
+            return import_tooth(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
+        if request.is_soft:
+            return import_organ(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
+        return _import_bone(request, Path(out), overwrite=overwrite, pictures=pictures, progress=progress)
 
 
 def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> Imported:

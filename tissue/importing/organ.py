@@ -6,6 +6,8 @@ import numpy as np
 
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
+from meshes.ct.inspection import inspect
+from meshes.ct.label_check import soft_label_note
 from meshes.ct.labels import Labels, on_grid_of, read_labels
 from meshes.images.reading import read_image
 from meshes.organs.from_labels import organ_mesh
@@ -43,8 +45,11 @@ def import_organ(request: ImportRequest, out: Path, *, overwrite: bool, pictures
             labels.number(name)
         if not modulus > 0.0:
             raise InputError(f"part must have a modulus above 0, got {name}={modulus:g}: give kPa")
+    mask = labels.mask(request.region)
+    checked = soft_label_note(image, mask, request.region) if mask.any() and inspect(image).is_hounsfield else ""
     mesh, notes = organ_mesh(labels, request.region, tuple(request.parts), report=progress)
-    sentences = [*image.notes, *labels.image.notes, *(f"{name}: {note}" for name, note in notes.items())]
+    sentences = [*image.notes, *labels.image.notes, *([checked] if checked else [])]
+    sentences += [f"{name}: {note}" for name, note in notes.items()]
     text = _scene(request, mesh, scene_name(out), image.source)
     files = ("organ.vtu", "labels.seg.nrrd", *(("slices.png",) if pictures else ()))
     record = _record(request, mesh, image.source, sentences)

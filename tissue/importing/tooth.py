@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
+from meshes.ct.inspection import inspect
+from meshes.ct.label_check import bone_label_note
 from meshes.ct.labels import Labels, on_grid_of, read_labels
 from meshes.images.part import box_of, part_of
 from meshes.images.reading import read_image
@@ -42,8 +44,12 @@ def import_tooth(request: ImportRequest, out: Path, *, overwrite: bool, pictures
     else:
         with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing_mm"}):
             image = read_image(request.source, spacing_mm=request.spacing_mm, series=request.series)
-        on_grid_of(labels, image)  # refuses labels of another image
+        placed = on_grid_of(labels, image)  # refuses labels of another image
         sentences = [*image.notes, *sentences]
+        if "enamel" in placed.names.values() and inspect(image).is_hounsfield:
+            with names_of_caller({"region": "labels"}):
+                note = bone_label_note(image, placed.mask("enamel"), "enamel")
+            sentences += [note] if note else []
     tooth = _tooth(labels)
     sentence, at_lesion, middle = _site(tooth, request.site == "tooth:lesion")
     sentences += [f"tooth: {', '.join(tooth.names.values())}", sentence]

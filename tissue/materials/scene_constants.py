@@ -14,6 +14,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from tissue.materials.constants import Constant, CuttingCoefficients, changed_coefficients, constants, listed
 from tissue.materials.cutting import CUT_AS
 
@@ -56,7 +57,7 @@ class Materials:
         InputError
             If the file cannot be read, or holds a table, a material, a constant or a number that cannot be meant.
         """
-        path = Path(file)
+        path = require_regular(Path(file))
         try:
             text = path.read_text("utf-8")
         except (OSError, ValueError):

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_memory, require_regular
 from tissue.motion.motion import first_off_unit
 
 __all__ = ["EVENTS", "POSES", "SHAFT_TO_X", "DrillingRecording", "read_drilling"]
@@ -77,6 +78,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
         raise InputError(
             f"{what} must have what reads it installed, got no h5py: pip install 'tissue-sim[h5]'"
         ) from None
+    require_regular(path)
     try:
         with h5py.File(path, "r") as file:
             return _read(file, _Where(path, what))
@@ -163,6 +165,7 @@ def _numbers(file: Any, name: str, where: _Where) -> Array:
     found = file.get(name)
     if not isinstance(found, h5py.Dataset) or found.dtype.kind not in "fiu":
         raise where.error(f"hold numbers as {name}", "none", "record it again")
+    require_memory(max(found.dtype.itemsize, 8) * found.size, where.path.name, f"{found.size:.3g} numbers as {name}")
     return np.asarray(found[()], dtype=np.float64)
 
 

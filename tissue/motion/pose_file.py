@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import read_npz
 from meshes.base.whole_file import whole_file
 from meshes.voxels.volume import VoxelVolume
 
@@ -33,9 +34,11 @@ def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], fl
         If the file is damaged or of another version.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            version, poses = int(file["format"]), np.asarray(file["poses"], dtype=np.float64)
-            origin, spacing = np.asarray(file["origin_m"], dtype=np.float64), float(file["spacing_m"])
+        held = read_npz(path)
+        version, poses = int(held["format"]), np.asarray(held["poses"], dtype=np.float64)
+        origin, spacing = np.asarray(held["origin_m"], dtype=np.float64), float(held["spacing_m"])
+    except InputError:
+        raise
     except Exception:  # NumPy and zipfile raise a dozen kinds for a damaged archive
         raise InputError(f"poses must be a whole file that a run wrote, got {path}: run the scene again") from None
     if version != FORMAT:

@@ -11,6 +11,7 @@ from scipy.special import expit, logit
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
+from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version, require_version
 from meshes.base.whole_file import whole_file
 from tissue.system.outputs import require_new_file
@@ -192,6 +193,7 @@ def read_observer(path: Path) -> Observer:
         If the file is missing, is no observer, is of another version, or holds impossible numbers.
     """
     calibrate = "write one with tissue calibrate --out"
+    require_regular(path)
     try:
         stored = json.loads(path.read_text("utf-8"))
     except OSError as problem:

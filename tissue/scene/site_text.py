@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from meshes.base.whole_file import whole_file
 
 __all__ = ["anatomy_of", "save_site", "with_site"]
@@ -22,6 +23,7 @@ def anatomy_of(scene: Path) -> dict[str, object]:
     InputError
         If the file is no TOML or has no such table.
     """
+    require_regular(scene)
     try:
         table = tomllib.loads(scene.read_text("utf-8")).get("anatomy")
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version
 from meshes.base.placement import Placement
 from meshes.base.whole_file import whole_file
@@ -224,7 +225,7 @@ def saved_placement(path: Path) -> Placement | None:
         If the summary's placement is no rigid motion.
     """
     try:
-        record = json.loads((path / "summary.json").read_text("utf-8")).get("placement")
+        record = json.loads(require_regular(path / "summary.json").read_text("utf-8")).get("placement")
     except (OSError, ValueError, AttributeError):
         return None
     return None if record is None else Placement.from_record(record)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from meshes.base.file_version import require_version
 
 __all__ = ["FORMAT", "Summary", "read_summary", "summary_of"]
@@ -63,7 +64,7 @@ def read_summary(folder: Path) -> Summary:
 def _table_of(folder: Path) -> Summary | None:
     """The summary of a folder as it is; None where there is none or it is no table."""
     try:
-        held = json.loads((folder / "summary.json").read_text("utf-8"))
+        held = json.loads(require_regular(folder / "summary.json").read_text("utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
     return held if isinstance(held, dict) else None

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from tissue.simulation.run_folder import saved_placement
 from tissue.simulation.vtk_files import mesh_in_scene
 
@@ -64,7 +65,7 @@ def frames_of(folder: Path) -> list[tuple[float, str]]:
     """
     from xml.etree import ElementTree
 
-    index = folder / "fields.pvd"
+    index = require_regular(folder / "fields.pvd")
     try:
         root = ElementTree.fromstring(index.read_bytes())
         frames = [(float(one.attrib["timestep"]), one.attrib["file"]) for one in root.iter("DataSet")]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from meshes.base.text_numbers import number_in, require_distinct_columns
 from meshes.base.whole_file import whole_file
 from tissue.simulation.trace import NO_LAYER, Table, TraceLayout
@@ -119,6 +120,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
         If the file is no such table, naming the line.
     """
     again = "mend that line or run the scene again"
+    require_regular(path)
     try:
         content = path.read_bytes()
         text = content[: content.rfind(b"\n") + 1].decode("utf-8")

@@ -8,6 +8,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from meshes.base.whole_file import whole_file
 from tissue.figures.band import draw_band, draw_sobol
 from tissue.simulation.run_summary import read_summary
@@ -88,6 +89,7 @@ def _write(path: Path, names: list[str], rows: Array) -> None:
 
 
 def _read(path: Path) -> tuple[list[str], Array]:
+    require_regular(path)
     try:
         with path.open(encoding="utf-8", newline="") as file:
             return next(csv.reader(file)), np.loadtxt(file, delimiter=",", ndmin=2)

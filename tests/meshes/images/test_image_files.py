@@ -48,9 +48,9 @@ def test_slices_of_other_sizes_are_refused(slices):
     from skimage.io import imsave
 
     folder, _ = slices
-    imsave(folder / "s_99.tif", np.zeros((6, 9), np.uint8), check_contrast=False)
+    imsave(folder / "s_04.tif", np.zeros((6, 9), np.uint8), check_contrast=False)
     assert refusal_of(lambda: read_image(folder, spacing_mm=1)) == (
-        "slices must all have the same size, got 9 x 6 in s_99.tif after 7 x 5: keep other images out of the folder"
+        "slices must all have the same size, got 9 x 6 in s_04.tif after 7 x 5: keep other images out of the folder"
     )
 
 

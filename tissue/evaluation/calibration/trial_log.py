@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version, require_version
 from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session
 from tissue.perception.adaptive import ThresholdPrior
@@ -48,7 +49,7 @@ class TrialLog:
     def __init__(self, path: Path, observer: str, plan: Plan) -> None:
         about = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "observer": observer}
         head = json.dumps(about | {"plan": asdict(plan)}) + "\n"
-        self.path, self.mended = path, False
+        self.path, self.mended = require_regular(path), False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             text = path.read_bytes() if path.exists() else b""
@@ -98,6 +99,7 @@ def read_log(path: Path) -> tuple[str, Session]:
     InputError
         If the file is none of a session, or a line of it is no trial of the session; the message names it.
     """
+    require_regular(path)
     try:
         text = path.read_bytes().decode()
     except (OSError, UnicodeDecodeError) as problem:

@@ -8,6 +8,7 @@ from pathlib import Path
 from pydantic import TypeAdapter
 
 from meshes.base.errors import InputError
+from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version, require_version
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.trials import TrialTable
@@ -117,7 +118,7 @@ class StudyFolder:
         InputError
             If there is none, or it is of another version.
         """
-        path = self.path / PLAN
+        path = require_regular(self.path / PLAN)
         try:
             held = json.loads(path.read_text("utf-8"))
             require_version("study", held, FORMAT, where=path, remedy="run it in a new folder")
@@ -159,7 +160,7 @@ class StudyFolder:
     def stamp(self, key: TrialKey) -> Stamp:
         """What a trial's file states of its origin."""
         try:
-            held = dict(json.loads(self._file(key).read_text("utf-8")))
+            held = dict(json.loads(require_regular(self._file(key)).read_text("utf-8")))
         except (OSError, ValueError, TypeError, RecursionError):
             return Stamp("", "", False)
         stated = held.pop("sha256", None)
@@ -173,7 +174,9 @@ class StudyFolder:
     def read(self, key: TrialKey) -> Trial | None:
         """A trial, or None where its file is missing or cut short."""
         try:
-            trial = READ_TRIAL.validate_python(json.loads(self._file(key).read_text("utf-8")) | {"key": key})
+            trial = READ_TRIAL.validate_python(
+                json.loads(require_regular(self._file(key)).read_text("utf-8")) | {"key": key}
+            )
         except (OSError, ValueError, TypeError, RecursionError):
             return None
         return trial if all(map(_is_row, trial.rows)) else None

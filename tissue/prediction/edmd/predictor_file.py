@@ -11,6 +11,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import DamagedFileError, InputError
+from meshes.base.file_limits import read_npz
 from meshes.base.file_version import package_version, require_version
 from meshes.base.whole_file import whole_file
 from tissue.prediction.edmd.dictionary import Delays, Dictionary, Identity
@@ -121,14 +122,14 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
     if not is_zipfile(path):  # NumPy would take it for a pickle
         raise InputError(f"predictor file must be whole and one that 'tissue train' wrote, got {path}: {again}")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            whole = json.loads(str(archive["json"]))
-            if not isinstance(whole, dict) or whole.get("format") != FORMAT:
-                raise InputError(f"predictor file must be one that 'tissue train' wrote, got {path}: {again}")
-            require_version("predictor file", whole, VERSION, key="version", where=path, remedy=again)
-            if scene is not None and whole["scene"] != scene:
-                raise InputError(f"predictor file must be of scene {scene}, got {whole['scene']} in {path}: {again}")
-            arrays = {name: archive[name] for name in archive.files if name != "json"}
+        held = read_npz(path)
+        whole = json.loads(str(held["json"]))
+        if not isinstance(whole, dict) or whole.get("format") != FORMAT:
+            raise InputError(f"predictor file must be one that 'tissue train' wrote, got {path}: {again}")
+        require_version("predictor file", whole, VERSION, key="version", where=path, remedy=again)
+        if scene is not None and whole["scene"] != scene:
+            raise InputError(f"predictor file must be of scene {scene}, got {whole['scene']} in {path}: {again}")
+        arrays: dict[str, Any] = {name: each for name, each in held.items() if name != "json"}
         operators = {name: _operator(name, each, arrays) for name, each in whole["operators"].items()}
     except InputError:
         raise

@@ -1,0 +1,145 @@
+"""Limits on files that are read: regular files only, and no more memory than is allowed."""
+
+import os
+import stat
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from math import prod
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, require_positive
+
+__all__ = ["memory_limit", "memory_limit_bytes", "read_npz", "require_memory", "require_regular"]
+
+_GB = 1e9
+_FREE_SHARE = 0.5
+_limit_GB: ContextVar[float | None] = ContextVar("max_memory_GB", default=None)
+_CGROUP = Path("/sys/fs/cgroup")
+
+
+@contextmanager
+def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
+    """Set the memory that the content of a file may take [GB]; None leaves the limit as it is."""
+    if max_memory_GB is None:
+        yield
+        return
+    token = _limit_GB.set(require_positive("max_memory_GB", max_memory_GB, "leave it out, or use about 8"))
+    try:
+        yield
+    finally:
+        _limit_GB.reset(token)
+
+
+def memory_limit_bytes() -> int:
+    """Return the bytes that the content of a file may take: those of `memory_limit`, else half of the free memory."""
+    given = _limit_GB.get()
+    return int(given * _GB) if given is not None else int(_FREE_SHARE * _free_bytes())
+
+
+def require_memory(needed: int, file: str, content: str) -> None:
+    """Refuse a file whose decoded content exceeds the memory limit.
+
+    Parameters
+    ----------
+    needed
+        Size of the decoded content [byte].
+    file
+        Name of the file.
+    content
+        What it states, such as "4000 x 4000 x 600 voxels".
+
+    Raises
+    ------
+    InputError
+        If the content is larger than the limit; the message names the option that raises it.
+    """
+    limit = memory_limit_bytes()
+    if needed <= limit:
+        return
+    source = "as given" if _limit_GB.get() is not None else "half of the free memory"
+    raise InputError(
+        f"file must fit {limit / _GB:.3g} GB of memory ({source}), got {content} in {file}, which take "
+        f"{needed / _GB:.3g} GB: crop or resample it, or raise the limit with --max-memory-GB "
+        "(max_memory_GB in Python)"
+    )
+
+
+def require_regular(file: Path) -> Path:
+    """Return a path that leads to a regular file, if it leads to anything.
+
+    Devices such as /dev/zero have no end, and a named pipe blocks until somebody writes into it. A path that leads to
+    nothing is left to the code that opens it.
+
+    Raises
+    ------
+    InputError
+        If the path leads to a folder, a device, a named pipe or a socket.
+    """
+    try:
+        mode = file.stat().st_mode
+    except (OSError, ValueError):
+        return file  # it is missing or has an impossible name: the code that opens it reports that
+    if not stat.S_ISREG(mode):
+        kind = "a folder" if stat.S_ISDIR(mode) else "a device, a named pipe or a socket"
+        raise InputError(f"file must be a regular file, got {file}, which is {kind}: copy its content to a file")
+    return file
+
+
+def read_npz(path: Path) -> dict[str, NDArray[np.generic]]:
+    """Read the arrays of a NumPy archive, after their stated sizes have been compared with the file and the limit.
+
+    Raises
+    ------
+    InputError
+        If the arrays would exceed the memory limit.
+    ValueError
+        If an array states another size than its entry of the archive, or holds objects.
+    """
+    require_regular(path)
+    with zipfile.ZipFile(path) as archive:
+        entries = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
+        require_memory(sum(entry.file_size for entry in entries), path.name, f"{len(entries)} arrays")
+        for entry in entries:
+            with archive.open(entry) as stream:
+                stated = _npy_bytes(stream)
+                if stated != entry.file_size - stream.tell():
+                    raise ValueError(f"{entry.filename} states {stated} bytes and holds another number")
+    with np.load(path, allow_pickle=False) as stored:
+        return {name: stored[name] for name in (entry.filename.removesuffix(".npy") for entry in entries)}
+
+
+def _npy_bytes(stream: IO[bytes]) -> int:
+    """Read the header of an array, and return the bytes that its data must have."""
+    version = np.lib.format.read_magic(stream)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    else:
+        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+    if dtype.hasobject:
+        raise ValueError("an array of objects")
+    return prod(shape) * dtype.itemsize
+
+
+def _free_bytes() -> int:
+    """Return the memory that this process may still take: of the machine, its container and its own limit."""
+    import psutil
+
+    free = [int(psutil.virtual_memory().available)]
+    try:
+        held = int((_CGROUP / "memory.current").read_text())
+        free.append(int((_CGROUP / "memory.max").read_text()) - held)
+    except (OSError, ValueError):
+        pass  # no container, or one without a limit
+    if os.name == "posix":
+        import resource
+
+        most, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if most != resource.RLIM_INFINITY:
+            free.append(most - int(psutil.Process().memory_info().vms))
+    return max(min(free), 0)

@@ -1,0 +1,231 @@
+"""TIFF slices: which files are slices, in which order, and their grey values."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError, by, is_folder, require_file
+from meshes.base.file_limits import require_memory
+from meshes.images.frame import StoredImage
+
+__all__ = ["read_tiff_slices", "tiff_slices"]
+
+SUFFIXES = (".tif", ".tiff")
+_PATTERN_MARKS = "*?["
+_COLOUR_AXES = "SC"
+_MIN_IS_WHITE, _RGB, _PALETTE = 0, 2, 3
+_UNCOMPRESSED = 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Planes:
+    """Planes of a TIFF file before they are decoded.
+
+    Attributes
+    ----------
+    shape
+        Planes, rows and columns.
+    photometric
+        Meaning of the values: 0 low is white, 1 low is black, 3 numbers of a colour table.
+    bits
+        Bits per value.
+    dtype
+        Type of the values.
+    reduced
+        Number of reduced pictures (thumbnails) that the file holds in addition.
+    """
+
+    shape: tuple[int, int, int]
+    photometric: int
+    bits: int
+    dtype: np.dtype[Any]
+    reduced: int
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the decoded planes [byte]."""
+        return prod(self.shape) * self.dtype.itemsize
+
+
+def tiff_slices(path: Path) -> list[Path]:
+    """Return the TIFF files that a path means, in the order of their slices; an empty list for other images.
+
+    Files are ordered by the numbers in their names: ``slice_2`` comes before ``slice_10``.
+
+    Parameters
+    ----------
+    path
+        File, folder, or pattern of files such as ``slices/*.tif``.
+
+    Raises
+    ------
+    InputError
+        If the path leads to nothing, a file is named unlike the others, or a slice number is missing.
+    """
+    if any(mark in path.name for mark in _PATTERN_MARKS):
+        found = [file for file in path.parent.glob(path.name) if file.is_file()]
+        if not found:
+            raise InputError(f"file must exist, got {path}, which matches nothing: check the folder and the pattern")
+        other = next((file for file in found if file.suffix.lower() not in SUFFIXES), None)
+        if other is not None:
+            raise InputError(f"a pattern must match TIFF slices only, got {other.name}: write for example *.tif")
+    elif is_folder(path):
+        found = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
+        found = [file for file in found if not file.name.startswith(".")]
+    else:
+        require_file(path, "an image")
+        return [path] if path.suffix.lower() in SUFFIXES else []
+    found.sort(key=_natural)
+    _require_numbered(found, path)
+    return found
+
+
+def read_tiff_slices(files: Sequence[Path], spacing_mm: float, *, labels: bool = False) -> StoredImage:
+    """Read TIFF slices in the order given, the axes of the array along columns, rows and slices.
+
+    Values that are stored inverted (MinIsWhite) are inverted back, with a note.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged, holds colours, differs in size from the others, or all exceed the memory limit.
+    """
+    planes = [_planes(file) for file in files]
+    first = planes[0]
+    for file, other in zip(files, planes, strict=True):
+        if other.shape[1:] != first.shape[1:]:
+            raise InputError(
+                f"slices must all have the same size, got {by(other.shape[:0:-1])} in {file.name} "
+                f"after {by(first.shape[:0:-1])}: keep other images out of the folder"
+            )
+        if (other.photometric, other.bits, other.dtype) != (first.photometric, first.bits, first.dtype):
+            raise InputError(
+                f"slices must all have the same type of values, got another in {file.name} than in {files[0].name}: "
+                "export all slices in one way"
+            )
+    count = sum(other.shape[0] for other in planes)
+    where = files[0].name if len(files) == 1 else files[0].parent.name
+    require_memory(sum(other.nbytes for other in planes), where, f"{by((*first.shape[:0:-1], count))} voxels")
+    values = np.concatenate([_decoded(file, each) for file, each in zip(files, planes, strict=True)], axis=2)
+    notes = []
+    if sum(other.reduced for other in planes):
+        notes.append(f"Reduced pictures (thumbnails) in the TIFF files of {where} are left out.")
+    if first.photometric == _PALETTE:
+        notes.append(f"{where} states a colour table: its values are taken as they are stored.")
+    if first.photometric == _MIN_IS_WHITE and labels:
+        notes.append(f"{where} shows low values as white: labels are taken as they are stored.")
+    elif first.photometric == _MIN_IS_WHITE:
+        values = _inverted(values, first.bits, where)
+        notes.append(f"The grey values of {where} are stored inverted (MinIsWhite): they are inverted back.")
+    return StoredImage(values, (spacing_mm,) * 3, np.eye(3), np.zeros(3), tuple(notes))
+
+
+def _natural(file: Path) -> list[tuple[int, str]]:
+    """Return a key that sorts names by the numbers in them."""
+    parts = re.split(r"(\d+)", file.stem)
+    return [(int(part), "") if part.isascii() and part.isdigit() else (-1, part) for part in parts] + [(-2, file.name)]
+
+
+def _require_numbered(files: Sequence[Path], path: Path) -> None:
+    """Refuse a file that is named unlike most others, a number that is missing, and one that is there twice."""
+    if len(files) < 2:
+        return
+    texts = [re.sub(r"\d+", "#", file.stem) for file in files]
+    usual, count = Counter(texts).most_common(1)[0]
+    if "#" not in usual or 2 * count <= len(files):
+        return  # the names do not count the slices
+    other = next((file for file, text in zip(files, texts, strict=True) if text != usual), None)
+    if other is not None:
+        raise InputError(
+            f"slices must be named alike, got {other.name} among names such as {files[texts.index(usual)].name} in "
+            f"{path.name}: move it out of the folder, or give a pattern that leaves it out"
+        )
+    numbers = np.array([[int(part) for part in re.findall(r"\d+", file.stem)] for file in files], dtype=object)
+    varying = [k for k in range(numbers.shape[1]) if len(set(numbers[:, k])) > 1]
+    if len(varying) > 1:
+        return  # it is unknown which of the numbers counts the slices
+    if not varying:
+        raise InputError(f"slices must have numbers that differ, got {files[1].name} twice in {path.name}: rename one")
+    counted = numbers[:, varying[0]].tolist()
+    steps = [after - before for before, after in pairwise(counted)]
+    if 0 in steps:
+        twice = files[steps.index(0) + 1].name
+        raise InputError(f"slices must have numbers that differ, got that of {twice} twice in {path.name}: remove one")
+    wide = next((k for k, step in enumerate(steps) if step != min(steps)), None)
+    if wide is not None:
+        missing = sum(steps) // min(steps) - len(steps)
+        raise InputError(
+            f"slice numbers must follow each other, got {files[wide + 1].name} after {files[wide].name} in "
+            f"{path.name}, {missing} missing: export the whole stack"
+        )
+
+
+def _planes(file: Path) -> _Planes:
+    """Read the header of a file."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(file) as stored:
+            page, series = stored.pages[0], stored.series[0]
+            axes = dict(zip(series.axes, series.shape, strict=True))
+            further = [other.keyframe for other in stored.series[1:]]
+            reduced = sum(bool(other.is_reduced) for other in further)
+            photometric, samples = int(page.photometric), int(page.samplesperpixel)
+            rows, columns = int(axes.pop("Y")), int(axes.pop("X"))
+            bits, dtype = int(page.bitspersample), series.dtype
+            size, held = prod(series.shape) * series.dtype.itemsize, sum(stored.pages[0].databytecounts)
+            plain = (
+                int(page.compression) == _UNCOMPRESSED and len(stored.pages) == prod(series.shape) // rows // columns
+            )
+    except Exception as problem:  # the reader raises many kinds for a damaged file, none documented
+        raise InputError(_damaged(file)) from problem
+    if samples != 1 or photometric == _RGB or any(axes.get(axis, 1) > 1 for axis in _COLOUR_AXES):
+        raise InputError(
+            f"a TIFF slice must hold one grey value per pixel, got several (colour, or grey with transparency) in "
+            f"{file.name}: export it as grey values"
+        )
+    if photometric not in (_MIN_IS_WHITE, 1, _PALETTE) or len(further) > reduced:
+        raise InputError(
+            f"a TIFF slice must hold one stack of grey values, got other content in {file.name}: export it as grey "
+            "values"
+        )
+    stacked = [int(count) for count in axes.values() if count > 1]
+    if len(stacked) > 1:
+        raise InputError(f"a TIFF file must hold one stack, got {by(stacked)} planes in {file.name}: export one stack")
+    count = prod(stacked)
+    if plain and bits >= 8 and count * held < size:
+        raise InputError(_damaged(file))
+    return _Planes((count, rows, columns), photometric, bits, dtype, reduced)
+
+
+def _decoded(file: Path, planes: _Planes) -> NDArray[np.number]:
+    """Return the values of a file, shape (columns, rows, planes)."""
+    from skimage.io import imread
+
+    try:
+        values = np.asarray(imread(file)).reshape(planes.shape)
+    except Exception as problem:  # the readers raise many kinds, none documented
+        raise InputError(_damaged(file)) from problem
+    return values.astype(np.uint8 if values.dtype == bool else values.dtype, copy=False).T
+
+
+def _inverted(values: NDArray[np.number], bits: int, source: str) -> NDArray[np.number]:
+    """Return values whose white was their lowest as values whose white is the highest."""
+    if values.dtype.kind != "u":
+        raise InputError(
+            f"inverted grey values (MinIsWhite) must be whole numbers without a sign, got {values.dtype} in {source}: "
+            "export it with black as the lowest value"
+        )
+    return values.dtype.type(2**bits - 1) - values
+
+
+def _damaged(file: Path) -> str:
+    return f"file must be a readable TIFF slice, got {file.name} (it is damaged or cut off): export it again"

@@ -1,0 +1,260 @@
+"""Files that state or inflate to more than the memory, and files that are none: refused before anything is decoded."""
+
+import gzip
+import os
+import struct
+import sys
+import zlib
+
+import image_writers as write
+import numpy as np
+import pytest
+from fuzz_files import Reading
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of the address space")
+
+ADDRESS_SPACE_GB = 8.0
+"""Of the reading process: libraries map 3 GB, a claim of 16 GB and more does not fit."""
+BOMB_GB, SMALLER_GB = 0.016, 0.01
+"""Decoded size of files that inflate to what they state, and the limit that they exceed."""
+AXES, ORIGIN = np.eye(3), (0.0, 0.0, 0.0)
+FEW = np.ones((4, 3, 2), dtype=np.int16)
+DETACHED = {"sizes": "4 3 2", "encoding": "raw"}
+
+
+@pytest.fixture(scope="module")
+def reading():
+    child = Reading(longest_s=60.0, address_space_GB=ADDRESS_SPACE_GB)
+    yield child
+    child.close()
+
+
+@pytest.fixture(scope="module")
+def limited():
+    child = Reading(longest_s=60.0, max_memory_GB=SMALLER_GB)
+    yield child
+    child.close()
+
+
+def nrrd(path, **fields):
+    write.write_nrrd(path, FEW, AXES, ORIGIN, **fields)
+
+
+def tiff(path):
+    """A TIFF of 60000 x 60000 zeros, deflated in one strip that holds few of them."""
+    data = zlib.compress(bytes(1000))
+    tags = [(256, 4, 60000), (257, 4, 60000), (258, 3, 16), (259, 3, 8), (262, 3, 1), (273, 4, 8), (277, 3, 1),
+            (278, 4, 60000), (279, 4, len(data))]  # fmt: skip
+    entries = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in tags)
+    path.write_bytes(struct.pack("<2sHI", b"II", 42, 8 + len(data)) + data + struct.pack("<H", len(tags)) + entries
+                     + bytes(4))  # fmt: skip
+
+
+def npz(path):
+    """An archive whose one array states 80 GB and holds nothing."""
+    import zipfile
+
+    head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (10000000000,), }"
+    head += b" " * (-(len(head) + 11) % 64) + b"\n"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("time_s.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head)
+
+
+def hdf5(path):
+    """A chunked dataset of 800 GB of which no chunk was ever written."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.create_dataset("time_s", shape=(10**11,), dtype="f8", chunks=(1 << 16,))
+
+
+def recording(path):
+    """A recording of volumetric_drilling that states 80 GB of times."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        group = file.create_group("physics_data").create_group("voxels_removed")
+        group.create_dataset("time_stamp", shape=(10**10,), dtype="f8", chunks=(1 << 16,))
+        drill = file.create_group("high_frequency_poses/mastoidectomy_drill")
+        drill.create_dataset("time_stamp", shape=(10**10,), dtype="f8", chunks=(1 << 16,))
+        drill.create_dataset("pose", shape=(10**10, 7), dtype="f8", chunks=(1 << 12, 7))
+
+
+def mat(path):
+    """A MATLAB file of version 5 with an array of 4e9 cells."""
+    flags = struct.pack("<IIII", 6, 8, 1, 0)
+    dims = struct.pack("<IIii", 5, 8, 2_000_000_000, 2)
+    name = struct.pack("<II", 1, 6) + b"time_s\0\0"
+    body = flags + dims + name
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
+    path.write_bytes(head + struct.pack("<II", 14, len(body)) + body)
+
+
+def dicom(path):
+    """Four slices of 60000 x 60000 pixels in RLE, of which the pixels are missing."""
+    fields = {"rows": 60000, "columns": 60000, "syntax": "1.2.840.10008.1.2.5", "pixels": b"\0\0"}
+    write.write_dicom(path, FEW.astype(np.uint16), AXES, ORIGIN, **fields)
+
+
+CLAIMS = {
+    "a.nrrd": ("image", lambda p: nrrd(p, sizes="4000 4000 600")),
+    "b.nrrd": ("image", lambda p: nrrd(p, sizes="4000 4000 600", encoding="gzip")),
+    "c.nrrd": ("image", lambda p: nrrd(p, sizes="4000 4000 600", encoding="hex")),
+    "d.nrrd": ("image", lambda p: nrrd(p, sizes="4000 4000 600", encoding="ascii")),
+    "e.nhdr": ("image", lambda p: nrrd(p, sizes="4000 4000 600", data_file="e.raw")),
+    "f.nhdr": ("image", lambda p: nrrd(p, sizes="4000 4000 600", data_file="f.raw 1 1 1")),
+    "g.nii": ("image", lambda p: write.write_nifti(p, FEW, AXES, ORIGIN, dim=(3, 4000, 4000, 600))),
+    "h.nii.gz": ("image", lambda p: write.write_nifti(p, FEW, AXES, ORIGIN, dim=(3, 4000, 4000, 600))),
+    "i.mha": ("image", lambda p: write.write_meta(p, FEW, AXES, ORIGIN, DimSize="4000 4000 600")),
+    "j.mhd": ("image", lambda p: write.write_meta(p, FEW, AXES, ORIGIN, compressed=True, DimSize="4000 4000 600")),
+    "k.tif": ("image", tiff),
+    "dicom": ("image", dicom),
+    "l.nrrd": ("labels", lambda p: nrrd(p, sizes="4000 4000 600", encoding="gzip")),
+    "m.npz": ("log", npz),
+    "n.npz": ("predictor", npz),
+    "o.h5": ("log", hdf5),
+    "p.hdf5": ("log", recording),
+    "q.hdf5": ("poses", recording),
+    "r.mat": ("log", mat),
+    "s.ply": ("surface", lambda p: p.write_text(
+        "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 4000000000\nproperty list uchar int vertex_indices\nend_header\n0000")),
+    "t.msh": ("tets", lambda p: p.write_text("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4000000000\n1 0 0 0\n")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CLAIMS)
+def test_a_small_file_that_states_much_is_refused(tmp_path, reading, name):
+    reader, make = CLAIMS[name]
+    make(tmp_path / name)
+    assert sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file()) < 20_000
+    outcome, message = reading.read(reader, tmp_path / name)
+    assert outcome == "refused" and message.count("\n") == 0, message
+
+
+def zeros_nifti(path):
+    values = np.zeros((1000, 1000, 8), dtype=np.uint16)
+    path.write_bytes(gzip.compress(write.nifti_bytes(values, AXES, ORIGIN), 1))
+
+
+def zeros_nrrd(path):
+    write.write_nrrd(path, np.zeros((1000, 1000, 8), dtype=np.uint16), AXES, ORIGIN, encoding="gzip")
+
+
+def zeros_h5(path):
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.create_dataset("time_s", data=np.zeros(2_000_000), chunks=(1_000_000,), compression="gzip")
+
+
+def zeros_parquet(path):
+    import pyarrow
+    import pyarrow.parquet
+
+    pyarrow.parquet.write_table(pyarrow.table({"time_s": np.zeros(2_000_000)}), path)
+
+
+def zeros_dicom(path):
+    """A deflated slice of which an element holds 16 MB of zeros."""
+    plane = np.zeros((4, 3), dtype=np.uint16)
+    whole = write.dicom_bytes(plane, ORIGIN, AXES[0], AXES[1], (1.0, 1.0), syntax="1.2.840.10008.1.2.1.99")
+    start = 144 + struct.unpack_from("<I", whole, 140)[0]
+    more = struct.pack("<HH2sHI", 0x7FE1, 0x1001, b"OB", 0, 16_000_000) + bytes(16_000_000)
+    deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    path.mkdir()
+    (path / "0.dcm").write_bytes(whole[:start] + deflate.compress(whole[start:] + more) + deflate.flush())
+
+
+BOMBS = {
+    "a.nii.gz": ("image", zeros_nifti),
+    "b.nrrd": ("image", zeros_nrrd),
+    "c.npz": ("log", lambda p: np.savez_compressed(p, time_s=np.zeros(2_000_000))),
+    "d.h5": ("log", zeros_h5),
+    "e.parquet": ("log", zeros_parquet),
+    "dicom": ("image", zeros_dicom),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_file_that_inflates_beyond_the_limit_is_refused(tmp_path, limited, name):
+    reader, make = BOMBS[name]
+    make(tmp_path / name)
+    stored = sum(file.stat().st_size for file in tmp_path.rglob("*") if file.is_file())
+    assert stored < 0.02e9 * BOMB_GB
+    outcome, message = limited.read(reader, tmp_path / name)
+    assert outcome == "refused" and "--max-memory-GB" in message and f"{SMALLER_GB:g} GB of memory" in message, message
+
+
+@pytest.mark.slow
+def test_matlab_that_inflates_beyond_the_limit_is_refused(tmp_path):
+    """Its reader runs in a process of its own, which is ended."""
+    from scipy.io import savemat
+
+    savemat(tmp_path / "log.mat", {"time_s": np.zeros(60_000_000)}, do_compression=True)
+    savemat(tmp_path / "few.mat", {"time_s": np.zeros(1000)}, do_compression=True)
+    child = Reading(longest_s=60.0, max_memory_GB=0.4)
+    outcome, message = child.read("log", tmp_path / "log.mat")
+    assert outcome == "refused" and "memory" in message
+    assert child.read("log", tmp_path / "few.mat") == ("read", "")
+    child.close()
+
+
+SUFFIXES = {
+    "image": ("a.nrrd", "a.nhdr", "a.nii", "a.nii.gz", "a.mha", "a.vti", "a.tif"),
+    "labels": ("a.nrrd", "a.nii.gz"),
+    "surface": ("a.stl", "a.ply", "a.obj", "a.vtp"),
+    "tets": ("a.msh", "a.vtu"),
+    "log": ("a.csv", "a.npz", "a.mat", "a.h5", "a.parquet"),
+    "poses": ("a.csv", "a.hdf5"),
+    "toolpath": ("a.csv", "a.ngc", "a.mrk.json"),
+    "scene": ("a.toml",),
+    "materials": ("a.toml",),
+    "predictor": ("a.npz",),
+    "observer": ("a.json",),
+    "trials": ("a.jsonl",),
+}
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_only_regular_files_are_read(tmp_path, reading, kind):
+    for reader, names in SUFFIXES.items():
+        for name in names:
+            path = tmp_path / reader / name
+            path.parent.mkdir(exist_ok=True)
+            if kind == "pipe":
+                os.mkfifo(path)
+            else:
+                path.symlink_to("/dev/zero")
+            outcome, message = reading.read(reader, path)
+            assert outcome == "refused", f"{reader} of {name}: {outcome} {message}"
+
+
+@pytest.mark.parametrize("name", ["voxels.raw", "/dev/zero", "voxels%d.raw 0 0 1", "LIST\nvoxels.raw"])
+def test_the_voxels_of_a_header_lie_in_regular_files(tmp_path, reading, name):
+    os.mkfifo(tmp_path / "voxels.raw")
+    os.mkfifo(tmp_path / "voxels0.raw")
+    header = write.nrrd_header(FEW, AXES, ORIGIN, data_file=name)
+    (tmp_path / "image.nhdr").write_text(header)
+    assert reading.read("image", tmp_path / "image.nhdr")[0] == "refused"
+
+
+@pytest.mark.parametrize("name", ["voxels.raw", "/dev/zero"])
+def test_the_voxels_of_a_metaimage_lie_in_a_regular_file(tmp_path, reading, name):
+    write.write_meta(tmp_path / "image.mhd", FEW, AXES, ORIGIN, tail={"ElementDataFile": name})
+    (tmp_path / "image.raw").unlink()
+    os.mkfifo(tmp_path / "voxels.raw")
+    assert reading.read("image", tmp_path / "image.mhd")[0] == "refused"
+
+
+@pytest.mark.parametrize("name", ["voxels.raw", "voxels%d.raw 0 1 1 2", "LIST\nvoxels0.raw\nvoxels1.raw"])
+def test_voxels_in_files_of_their_own_are_read(tmp_path, reading, name):
+    values = np.arange(24, dtype=np.int16).reshape(4, 3, 2)
+    data = values.tobytes(order="F")
+    (tmp_path / "voxels.raw").write_bytes(data)
+    for k in range(2):
+        (tmp_path / f"voxels{k}.raw").write_bytes(data[24 * k : 24 * (k + 1)])
+    (tmp_path / "image.nhdr").write_text(write.nrrd_header(values, AXES, ORIGIN, data_file=name))
+    from meshes.images.reading import read_image
+
+    assert np.array_equal(read_image(tmp_path / "image.nhdr").values, values)
