@@ -54,7 +54,7 @@ def fit(
     from tissue.api.fit import fit as fit_api
     from tissue.fitting.fit_files import FILES
     from tissue.scene.load import load_scene, parse_override
-    from tissue.system.outputs import prepare_folder
+    from tissue.system.owned_folder import require_folder
 
     overrides = dict(parse_override(text) for text in set_)
     of_device = scene.startswith("device:")
@@ -62,7 +62,7 @@ def fit(
         raise InputError("--set must be left out for a device, which has no scene")
     subject = scene if of_device else load_scene(scene, overrides)
     folder = out or Path("fits") / (subject.removeprefix("device:") if isinstance(subject, str) else subject.name)
-    prepare_folder(folder, FILES, "fit", overwrite=overwrite)
+    require_folder(folder, "fit", FILES, overwrite=overwrite)
     chosen = [name.strip() for name in free.split(",") if name.strip()]
     with progress() as report:
         found = fit_api(

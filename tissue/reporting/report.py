@@ -1,6 +1,7 @@
 """A saved run as one HTML file that needs no network: written by `tissue report` and `tissue.report`."""
 
 import json
+from contextlib import nullcontext
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
@@ -18,8 +19,9 @@ from tissue.reporting.page import events_table, figures_of, materials_table, not
 from tissue.reporting.stage import stage
 from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
-from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.run_folder import SavedRun, added_to_run
 from tissue.system.html import html_page
+from tissue.system.outputs import require_new_file
 from tissue.viewer.run import require_whole
 
 __all__ = ["NAME", "write_report"]
@@ -67,15 +69,17 @@ def write_report(
     saved = SavedRun(folder)
     if out.suffix != ".html":
         raise InputError(f"out must end in .html, got {out}: choose for example {out.with_suffix('.html')}")
-    if out.is_dir() or (out.exists() and not overwrite):
-        raise InputError(f"out must not be there, got {out}: pass --overwrite to replace it or choose another --out")
-    report("reading the run", 0.0)
-    _require_whole(saved)
-    shown = stage(saved)
-    report("writing the report", 0.8)
-    text = _without_folders(saved, _html(saved, {"stage": shown, **_trace(saved)}, scripts))
-    with whole_file(out) as temporary:
-        temporary.write_text(text, "utf-8")
+    require_new_file(out, overwrite=overwrite)
+    # In the run's folder the report is one of the run's files, which a new run there removes.
+    belongs = out.absolute().parent == folder.absolute() and out.name == NAME
+    with added_to_run(folder) if belongs else nullcontext():
+        report("reading the run", 0.0)
+        _require_whole(saved)
+        shown = stage(saved)
+        report("writing the report", 0.8)
+        text = _without_folders(saved, _html(saved, {"stage": shown, **_trace(saved)}, scripts))
+        with whole_file(out) as temporary:
+            temporary.write_text(text, "utf-8")
     return out
 
 
