@@ -4,9 +4,34 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Protocol
 from uuid import uuid4
+from weakref import WeakSet
 
-__all__ = ["whole_file"]
+__all__ = ["OWNERS", "claim", "whole_file"]
+
+
+class Owner(Protocol):
+    """A folder whose files are claimed before they are written."""
+
+    def depth(self, path: Path) -> int:
+        """Return how many parts the folder's path has if it holds ``path``, else 0."""
+        ...
+
+    def claim(self, path: Path) -> None:
+        """Refuse a file that must not be replaced, or take note of it."""
+        ...
+
+
+OWNERS: "WeakSet[Owner]" = WeakSet()
+"""Folders that are being written by this process."""
+
+
+def claim(path: Path) -> None:
+    """Announce a file that is about to be written to the innermost folder in `OWNERS` that holds it."""
+    owner = max(list(OWNERS), key=lambda each: each.depth(path), default=None)
+    if owner is not None and owner.depth(path):
+        owner.claim(path)
 
 
 @contextmanager
@@ -14,8 +39,9 @@ def whole_file(path: Path) -> Iterator[Path]:
     """A temporary name in a file's folder, of the same ending, to write to in the block.
 
     What was written takes the file's place in one step when the block ends, and goes when it fails; so no reader sees
-    half of it, and of two writers one wins.
+    half of it, and of two writers one wins. A folder in `OWNERS` that holds the file may refuse it.
     """
+    claim(path)
     temporary = path.with_name(f".{uuid4().hex[:12]}-{path.name}")
     try:
         yield temporary

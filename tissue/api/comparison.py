@@ -12,7 +12,7 @@ from tissue.api.run import Run, open_run
 from tissue.api.run_figures import figures_of
 from tissue.api.trace import needed
 from tissue.scene.scene import Scene
-from tissue.system.outputs import prepare_folder
+from tissue.system.owned_folder import owned_folder, require_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,6 +23,8 @@ __all__ = ["Comparison", "Over", "compare", "entries_of"]
 
 Over = Literal["time", "depth"]
 FILES = ("compare.csv", "compare.png")
+KIND = "comparison"
+"""Kind of output in the marker of the folder."""
 LONGEST_VALUE = 60
 """Letters of a scene's entry that a line shows."""
 OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
@@ -133,11 +135,12 @@ class Comparison:
         from tissue.figures.figure import save
 
         out = Path(out)
+        require_folder(out, KIND, FILES, overwrite=overwrite)
         panels = self.plot(over)
-        prepare_folder(out, FILES, "comparison", overwrite=overwrite)
         titles, rows = self.rows()
-        write_table(out / FILES[0], ["figure", *titles], [[figure, *values] for figure, values in rows])
-        save(panels[0].figure, out / FILES[1])
+        with owned_folder(out, KIND, FILES, overwrite=overwrite):
+            write_table(out / FILES[0], ["figure", *titles], [[figure, *values] for figure, values in rows])
+            save(panels[0].figure, out / FILES[1])
         pyplot.close(panels[0].figure)
         return [out / name for name in FILES]
 

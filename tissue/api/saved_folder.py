@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
+from meshes.base.whole_file import whole_file
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.picture_format import picture_format
 from tissue.simulation.recording import write_formats
-from tissue.simulation.run_folder import OWN_FILES, RunFolder, SavedRun, saved_placement
+from tissue.simulation.run_folder import SavedRun, added_to_run, copied_run, files_of_run, saved_placement
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.saved_fields import SavedFields, field_names
 from tissue.simulation.trace import Table
@@ -154,11 +155,14 @@ class SavedFolder:
         if not (out.exists() and out.samefile(self.path)):
             if self.summary["status"] == "running":
                 raise InputError(f"run must have ended to be copied, got {self.path}, which goes on: wait for it")
-            RunFolder.check(out, overwrite=overwrite)
-            out.mkdir(parents=True, exist_ok=True)
-            for name in OWN_FILES:
-                _copy(self.path / name, out / name, wanted=drawn is not None or name != "pictures")
-        write_formats(self, out, formats)
+            names = files_of_run(self.path)
+            with copied_run(out, overwrite=overwrite):
+                for name in names:
+                    if drawn is not None or not name.startswith("pictures/"):
+                        _copy(self.path / name, out / name)
+        if formats:
+            with added_to_run(out):
+                write_formats(self, out, formats)
         return out
 
     @cached_property
@@ -185,13 +189,8 @@ class SavedFolder:
         return InputError(f"run must hold {name}, got {self.path} without it: run the scene again")
 
 
-def _copy(source: Path, target: Path, *, wanted: bool) -> None:
-    """Replace a file or folder by another one, or by nothing where there is none or it is not wanted."""
-    if target.is_dir() and not target.is_symlink():
-        shutil.rmtree(target)
-    else:
-        target.unlink(missing_ok=True)
-    if wanted and source.is_dir():
-        shutil.copytree(source, target)
-    elif wanted and source.is_file():
-        shutil.copyfile(source, target)
+def _copy(source: Path, target: Path) -> None:
+    """Copy a file into a folder that may not be there yet."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(target) as temporary:
+        shutil.copyfile(source, temporary)

@@ -45,7 +45,8 @@ def show_folder(folder: Path, chosen: dict[str, Any], *, interactive: bool | Non
         )
     with TemporaryDirectory(prefix="tissue-") as place:
         file = screenshot or Path(place) / "shown.png"
-        view(folder, screenshot=file, **chosen)  # in a process of its own, so also asks whether one can draw here
+        # It draws in a process of its own, and therefore also checks whether this machine can draw.
+        view(folder, screenshot=file, overwrite=True, **chosen)
         still = Picture(file.read_bytes())
     return _turned(folder, chosen) if interactive else still
 

@@ -15,11 +15,11 @@ from meshes.base.whole_file import whole_file
 from tissue.api.progress import Bar, reporting
 from tissue.api.simulate import simulate
 from tissue.api.sweep_plan import Planned, planned
-from tissue.api.sweep_table import Sweep, SweptRun
+from tissue.api.sweep_table import FILES, Sweep, SweptRun
 from tissue.scene.registered import registered_parts, unknown_parts
 from tissue.scene.scene import Scene
 from tissue.simulation.run_summary import summary_of
-from tissue.system.outputs import output_locked
+from tissue.system.owned_folder import owned_folder
 from tissue.system.workers import first_done, worker_pool
 
 __all__ = ["sweep"]
@@ -27,6 +27,8 @@ __all__ = ["sweep"]
 RECORD = "sweep.json"
 FORMAT = 1
 """Version of the record."""
+_Left = tuple[Planned, bool]
+"""A run that is left, and whether it may replace a run in its folder: one of this sweep, but no other."""
 LOST = "the process that ran it was lost: run the sweep again to go on"
 
 
@@ -89,7 +91,7 @@ def sweep(
     count = int(require_range("workers", workers, 1, 4096, "use one a core"))
     wanted = planned(scene, changes)
     options = _Options(compute, cores if cores is not None or count == 1 else 1, pictures, allow_unstable)
-    with output_locked(out, folder=True), reporting(progress) as report:
+    with owned_folder(out, "sweep", (), shared=(RECORD, *FILES)), reporting(progress) as report:
         left = _begin(out, wanted, overwrite=overwrite)
         problems = {each.name: each.problem for each in wanted}
         for name, problem in _results(out, left, options, workers=min(count, len(left)), report=report):
@@ -103,8 +105,8 @@ def sweep(
     return found
 
 
-def _begin(out: Path, wanted: list[Planned], *, overwrite: bool) -> list[Planned]:
-    """Write down what is run where; what is left to run.
+def _begin(out: Path, wanted: list[Planned], *, overwrite: bool) -> list[_Left]:
+    """Write down what is run where; return what is left to run.
 
     Raises
     ------
@@ -112,7 +114,7 @@ def _begin(out: Path, wanted: list[Planned], *, overwrite: bool) -> list[Planned
         If a run of another scene lies where one is to lie.
     """
     record = _read(out / RECORD)
-    left = []
+    left: list[_Left] = []
     for each in wanted:
         if each.scene is None:
             continue
@@ -124,8 +126,9 @@ def _begin(out: Path, wanted: list[Planned], *, overwrite: bool) -> list[Planned
                 "it or choose another --out"
             )
         if overwrite or there != text or summary_of(out / each.name).get("status") != "complete":
-            left.append(each)
-        record[each.name] = text
+            left.append((each, overwrite or there is not None))
+        if there is not None or overwrite or not summary_of(out / each.name):
+            record[each.name] = text  # a run that lies there and is not of this sweep does not become one of it
     with whole_file(out / RECORD) as temporary:
         data = {"format": FORMAT, "tissue": package_version(), "scenes": record}
         temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
@@ -149,19 +152,19 @@ def _read(path: Path) -> dict[str, str]:
 
 
 def _results(
-    out: Path, left: list[Planned], options: _Options, *, workers: int, report: Progress
+    out: Path, left: list[_Left], options: _Options, *, workers: int, report: Progress
 ) -> Iterator[tuple[str, str]]:
     """Run what is left; names, and what went wrong or nothing, as each comes to its end."""
     total = len(left)
     if workers <= 1:
-        for number, each in enumerate(left):
+        for number, (each, replaces) in enumerate(left):
             inner = partial(_share, report, f"run {number + 1} of {total}, {each.name}", number, total)
-            yield each.name, _run(each, out / each.name, options, inner)
+            yield each.name, _run(each, out / each.name, options, inner, replaces)
         return
     with worker_pool(workers) as pool:
         _require_known(pool, left, workers)
         waiting: dict[Future[str], str] = {
-            pool.submit(_run, each, out / each.name, options, False): each.name for each in left
+            pool.submit(_run, each, out / each.name, options, False, replaces): each.name for each, replaces in left
         }
         while waiting:
             report(f"{total - len(waiting)} of {total} runs are done", 1.0 - len(waiting) / total)
@@ -172,9 +175,9 @@ def _results(
                 yield waiting.pop(future), LOST if error is not None else future.result()
 
 
-def _require_known(pool: Executor, left: list[Planned], workers: int) -> None:
+def _require_known(pool: Executor, left: list[_Left], workers: int) -> None:
     """Refuse parts that were registered in this process alone."""
-    registered = registered_parts(each.scene for each in left if each.scene is not None)
+    registered = registered_parts(each.scene for each, _ in left if each.scene is not None)
     if registered and (missing := pool.submit(unknown_parts, registered).result()):
         raise InputError(
             f"workers must be 1 for parts that are registered in this process alone, got {workers} with the "
@@ -188,7 +191,7 @@ def _share(report: Progress, name: str, number: int, total: int, doing: str, sha
     report(f"{name}: {doing}", (number + share) / total)
 
 
-def _run(each: Planned, folder: Path, options: _Options, progress: Bar) -> str:
+def _run(each: Planned, folder: Path, options: _Options, progress: Bar, replaces: bool) -> str:
     """One run, in its folder; what went wrong, or nothing."""
     assert each.scene is not None
     try:
@@ -197,7 +200,7 @@ def _run(each: Planned, folder: Path, options: _Options, progress: Bar) -> str:
             compute=options.compute,
             cores=options.cores,
             out=folder,
-            overwrite=True,  # of another origin it is refused all the same, and another scene's run was before
+            overwrite=replaces,
             progress=progress,
             allow_unstable=options.allow_unstable,
         )

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Sweep", "SweptRun"]
 
+FILES = ("sweep.csv", "sweep.png", "compare.png")
+"""Names of the files of a sweep, without its runs."""
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
 """Figures of a table to read; all of them are in the file."""
 

@@ -6,7 +6,6 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from tissue.cli.terminal import console, left_out
-from tissue.system.outputs import output_locked
 
 __all__ = ["assess"]
 
@@ -43,11 +42,13 @@ def assess(
     """
     from tissue.evaluation.assessment import assess as hold_against
     from tissue.evaluation.assessment import assessment_lines
-    from tissue.evaluation.assessment_files import write_assessment
+    from tissue.evaluation.assessment_files import require_assessment_folder, write_assessment
     from tissue.simulation.run_folder import SavedRun
 
     if out is None:
         left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
+    else:
+        require_assessment_folder(out, overwrite=overwrite)
     found = hold_against(
         SavedRun(folder),
         SavedRun(against),
@@ -57,6 +58,5 @@ def assess(
     )
     console.print(*assessment_lines(found), sep="\n")
     if out is not None:
-        with output_locked(out, folder=True):
-            written = write_assessment(found, out, overwrite=overwrite)
+        written = write_assessment(found, out, overwrite=overwrite)
         console.print(f"files in {out}: {', '.join(path.name for path in written)}")

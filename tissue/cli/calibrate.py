@@ -91,6 +91,7 @@ def calibrate(
 
 def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, live: bool, overwrite: bool) -> None:
     """A session from where its log stands to its files."""
+    from meshes.base.whole_file import whole_file
     from tissue.evaluation.calibration.posterior_view import draw_session
     from tissue.evaluation.calibration.run_session import begin
     from tissue.perception.observer import write_observer
@@ -102,8 +103,10 @@ def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, live: b
         problems.print(f"going on at trial {log.session.trial + 1} of {log.path}")
     _ask_all(log, answer, live=live)
     session = log.session
-    draw_session(session, target.with_suffix(".png"))
-    write_observer(session.observer(name), target, overwrite=overwrite)  # last, for where it lies the session is over
+    # Both take their places together: where either of them lies, the session is over.
+    with whole_file(target.with_suffix(".png")) as drawn:
+        draw_session(session, drawn)
+        write_observer(session.observer(name), target, overwrite=overwrite)
     console.print(*session.lines(), sep="\n")
     for note in session.notes():
         problems.print("note:", note)

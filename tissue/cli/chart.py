@@ -6,7 +6,6 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from tissue.cli.terminal import console, left_out, progress, whole
-from tissue.system.outputs import output_locked
 
 __all__ = ["chart"]
 
@@ -75,7 +74,7 @@ def _scenes(names: list[str], folder: Path, *, quick: bool, overwrite: bool) -> 
     for note in notes_before(names):
         console.print(note)
     workers = min(os.cpu_count() or 1, MOST_WORKERS)
-    with output_locked(folder, folder=True), progress() as report, worker_pool(workers) as pool:
+    with progress() as report, worker_pool(workers) as pool:
         found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, pool=pool, report=report)
     console.print(*chart_lines(found), sep="\n")
     console.print(f"pictures and tables in {folder}")
@@ -89,7 +88,7 @@ def _prediction(scenes: list[str], folder: Path, *, trials: int, overwrite: bool
     able, notes = predictable([load_scene(name) for name in scenes])
     for note in notes:
         console.print(note)
-    with output_locked(folder, folder=True), progress() as report:
+    with progress() as report:
         found = chart_prediction(able, folder, trials=trials, overwrite=overwrite, report=report)
     console.print(*comparison_lines(found), sep="\n")
     console.print(f"pictures and tables in {folder}")
@@ -99,7 +98,6 @@ def _perception(folder: Path, observer: Path | None, *, overwrite: bool) -> None
     """`tissue chart perception`."""
     from tissue.evaluation.charts.perception import perception_charts
 
-    with output_locked(folder, folder=True):
-        drawn = perception_charts(folder, observer, overwrite=overwrite)
+    drawn = perception_charts(folder, observer, overwrite=overwrite)
     for path in drawn:
         console.print(f"{path}")

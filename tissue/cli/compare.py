@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from tissue.cli.terminal import console, left_out
-from tissue.system.outputs import output_locked
 
 __all__ = ["compare"]
 
@@ -32,11 +31,15 @@ def compare(
     """
     from rich.table import Table
 
+    from tissue.api.comparison import FILES, KIND
     from tissue.api.comparison import compare as compared
+    from tissue.system.owned_folder import require_folder
 
     if out is None:
         left_out("without --out, for nothing is written", "remove it", overwrite=overwrite)
         left_out("without --out, for nothing is drawn", "remove it", over=over if over != "time" else None)
+    if out is not None:
+        require_folder(out, KIND, FILES, overwrite=overwrite)
     found = compared(*folders)
     titles, rows = found.texts()
     table = Table(titles[0])
@@ -47,6 +50,5 @@ def compare(
     console.print(table)
     console.print(*found.lines(), sep="\n")
     if out is not None:
-        with output_locked(out, folder=True):
-            written = found.save(out, over=over, overwrite=overwrite)
+        written = found.save(out, over=over, overwrite=overwrite)
         console.print(f"files in {out}: {', '.join(path.name for path in written)}")

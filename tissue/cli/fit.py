@@ -49,12 +49,12 @@ def fit(
     from tissue.api.fit import fit as fit_api
     from tissue.fitting.fit_files import FILES
     from tissue.scene.load import load_scene, parse_override
-    from tissue.system.outputs import prepare_folder
+    from tissue.system.owned_folder import require_folder
 
     overrides = dict(parse_override(text) for text in set_)
     subject = load_scene(scene, overrides)
     folder = out or Path("fits") / subject.name
-    prepare_folder(folder, FILES, "fit", overwrite=overwrite)
+    require_folder(folder, "fit", FILES, overwrite=overwrite)
     chosen = [name.strip() for name in free.split(",") if name.strip()]
     with progress() as report:
         found = fit_api(

@@ -6,7 +6,6 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from tissue.cli.terminal import console, left_out, problems, progress
-from tissue.system.outputs import output_locked
 
 __all__ = ["stability"]
 
@@ -50,22 +49,28 @@ def stability(
         raise InputError(f"--only must go without a scene, got {only[0]} with {scene}: leave the scene out")
     if out is None:
         left_out("with a scene and no --out, for nothing is written", "remove it", overwrite=overwrite)
-    from tissue.evaluation.stability_report import scene_stability, stability_lines, write_stability_files
+    from tissue.evaluation.stability_report import (
+        require_map_folder,
+        scene_stability,
+        stability_lines,
+        write_stability_files,
+    )
     from tissue.scene.load import load_scene, parse_override
 
+    if out is not None:
+        require_map_folder(out, overwrite=overwrite)
     loaded = load_scene(scene, dict(parse_override(text) for text in set_))
     with problems.status("running the loop at many stiffnesses"):
         found = scene_stability(loaded)
     console.print(*stability_lines(loaded, found), sep="\n")
     if out is not None:
-        with output_locked(out, folder=True):
-            written = write_stability_files(loaded, found, out, overwrite=overwrite)
+        written = write_stability_files(loaded, found, out, overwrite=overwrite)
         console.print(f"files in {out}: {', '.join(path.name for path in written)}")
 
 
 def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
     """Make the atlas and report what every page shows."""
-    with output_locked(folder, folder=True), progress() as report:
+    with progress() as report:
         report("loading methods", 0.0)
         from tissue.evaluation.atlas.atlas import chosen_pages, write_atlas
         from tissue.evaluation.atlas.pages import PAGES

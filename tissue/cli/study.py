@@ -1,13 +1,11 @@
 """``tissue study plan``, ``tissue study run`` and ``tissue study report``."""
 
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from tissue.cli.terminal import console, left_out, problems, progress, whole
-from tissue.system.outputs import output_locked
 
 if TYPE_CHECKING:
     from tissue.evaluation.study.plan import Plan
@@ -15,8 +13,6 @@ if TYPE_CHECKING:
 __all__ = ["study"]
 
 study = App(name="study", help="Compare methods of rendering force over many trials, and report what they show.")
-QUIET_S = 30.0
-"""Time between two lines about how far a study is, where there is no terminal for a bar [s]."""
 Names = Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)]
 
 
@@ -83,16 +79,12 @@ def run(
     wanted = list(plan.all_trials())
     if there := sum(map(StudyFolder(out).has, wanted)):
         problems.print(f"{there} of {len(wanted)} trials are there, missing ones are run")
-    with output_locked(out, folder=True), progress() as bar:
-        spoke = 0.0
+    with progress() as bar:
 
         def report(doing: str, share: float) -> None:
-            """Move the bar; speak of what is no mere progress, and of that now and then where there is no bar."""
-            nonlocal spoke
+            """Move the bar, and print what is more than progress."""
             bar(doing, share)
-            going = " left" in doing
-            if not going or (not problems.is_terminal and perf_counter() - spoke > QUIET_S):
-                spoke = perf_counter()
+            if " left" not in doing:
                 problems.print(doing)
 
         bar("starting workers", 0.0)
@@ -130,9 +122,9 @@ def register_plan(
 
     plan = _planned(trials, tasks, methods, groups, sensitivity, seed)
     out = out or Path("studies/paper")
-    with output_locked(out, folder=True):
-        folder = StudyFolder(out)
-        folder.begin(plan)
+    folder = StudyFolder(out)
+    with folder.held(plan):
+        pass
     newest = folder.registrations()[-1]
     console.print(f"{out / str(newest['file'])}, SHA-256 {newest['sha256']}")
     console.print(f"next: tissue study run with the same options, --out {out}")

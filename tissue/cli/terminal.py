@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from time import perf_counter
 from typing import Any
 
 from cyclopts import CoercionError, Token
@@ -13,6 +14,10 @@ from meshes.base.visible_text import visible
 from tissue.api.progress import terminal_bar
 
 __all__ = ["console", "left_out", "problems", "progress", "whole"]
+
+
+QUIET_S = 30.0
+"""Time between two lines about progress where there is no terminal for a bar [s]."""
 
 
 class _Terminal(Console):
@@ -56,6 +61,22 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
 
 @contextmanager
 def progress() -> Iterator[Progress]:
-    """A progress bar that names what is being done; called with what and with the share that is done."""
-    with terminal_bar(problems) as report:
-        yield report
+    """Show a progress bar, or where there is no terminal print a line now and then.
+
+    Yields
+    ------
+    A function that is called with what is being done and with the share that is done.
+    """
+    if problems.is_terminal:
+        with terminal_bar(problems) as report:
+            yield report
+        return
+    printed_s = perf_counter()
+
+    def print_sometimes(doing: str, share: float) -> None:
+        nonlocal printed_s
+        if perf_counter() - printed_s >= QUIET_S:
+            printed_s = perf_counter()
+            problems.print(f"{doing}, {100.0 * share:.0f} %")
+
+    yield print_sometimes

@@ -23,6 +23,7 @@ def view(
     time_s: float | None = None,
     clean: Annotated[bool, Parameter(negative="")] = False,
     web: Annotated[bool, Parameter(negative="")] = False,
+    overwrite: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """Show a run in a window, or an imported bone, on which a click puts the site.
 
@@ -46,6 +47,8 @@ def view(
         With --screenshot: what was simulated alone on a transparent ground, without text, scales, tool and arrows.
     web
         In a browser on this machine, at an address that is printed, in place of a window.
+    overwrite
+        Replace the file of the screenshot or movie.
     """
     from tissue.viewer.view import view as show
 
@@ -53,6 +56,6 @@ def view(
     with nullcontext() if movie is None else progress() as report:
         shown = show(
             folder, screenshot=screenshot, movie=movie, hide=hide, field=field, scale=scale, time_s=time_s, clean=clean,
-            progress=report, opened=opened,
+            overwrite=overwrite, progress=report, opened=opened,
         )  # fmt: skip
     console.print(shown)

@@ -7,14 +7,25 @@ from pathlib import Path
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.assessment import Assessment
 from tissue.figures.figure import figure, save
-from tissue.system.outputs import prepare_folder
+from tissue.system.owned_folder import owned_folder, require_folder
 
-__all__ = ["write_assessment"]
+__all__ = ["require_assessment_folder", "write_assessment"]
 
 FILES = ("assessment.json", "assessment.png")
 
 TRAINEE, REFERENCE, LIMIT, SHADE = "#0072B2", "0.45", "#D55E00", "#E69F00"
 MARGIN = 0.08
+
+
+def require_assessment_folder(folder: Path, *, overwrite: bool) -> None:
+    """Check that a folder can take an assessment.
+
+    Raises
+    ------
+    InputError
+        If the folder is a file, or holds another assessment.
+    """
+    require_folder(folder, "assessment", FILES, overwrite=overwrite)
 
 
 def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
@@ -25,7 +36,6 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
     InputError
         If the folder is a file, or holds another assessment.
     """
-    prepare_folder(folder, FILES, "assessment", overwrite=overwrite)
     data = {
         **found.figures,
         "limits": {
@@ -34,9 +44,10 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
         "breaches": [asdict(each) for each in found.breaches],
         "events": [{"time_s": at, "what": what} for at, what in found.events],
     }  # fmt: skip
-    with whole_file(folder / FILES[0]) as temporary:
-        temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
-    _draw(found, folder / FILES[1])
+    with owned_folder(folder, "assessment", FILES, overwrite=overwrite):
+        with whole_file(folder / FILES[0]) as temporary:
+            temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+        _draw(found, folder / FILES[1])
     return [folder / name for name in FILES]
 
 

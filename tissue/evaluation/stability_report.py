@@ -15,7 +15,8 @@ from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap, stab
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
-from tissue.system.outputs import prepare_folder, write_columns
+from tissue.system.outputs import write_columns
+from tissue.system.owned_folder import owned_folder, require_folder
 
 __all__ = ["scene_stability", "stability_lines", "write_stability_files"]
 
@@ -65,6 +66,17 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
     ]
 
 
+def require_map_folder(folder: Path, *, overwrite: bool) -> None:
+    """Check that a folder can take the map of a scene's stability.
+
+    Raises
+    ------
+    InputError
+        If the folder is a file, or holds another map.
+    """
+    require_folder(folder, "map", FILES, overwrite=overwrite)
+
+
 def write_stability_files(scene: Scene, found: StabilityMap, folder: Path, *, overwrite: bool) -> list[Path]:
     """Write the picture of a map, and boundaries in N/m over what is varied as ``stability_damping`` and ``_delay``.
 
@@ -73,12 +85,12 @@ def write_stability_files(scene: Scene, found: StabilityMap, folder: Path, *, ov
     InputError
         If the folder is a file, or holds another map.
     """
-    prepare_folder(folder, FILES, "map", overwrite=overwrite)
-    _draw_stability(found, folder / FILES[0], title=f"{scene.name}: {scene.device}, {scene.hand}")
-    for name, data in zip(FILES[1:], (found.over_damping, found.over_delay), strict=True):
-        lines = {f"{line.replace(' ', '_')}_N_m": values for line, values in data.lines_N_m.items()}
-        columns = {data.along: data.values, "measured_N_m": data.measured_N_m, "exact_N_m": data.exact_N_m}
-        write_columns(folder / name, columns | lines)
+    with owned_folder(folder, "map", FILES, overwrite=overwrite):
+        _draw_stability(found, folder / FILES[0], title=f"{scene.name}: {scene.device}, {scene.hand}")
+        for name, data in zip(FILES[1:], (found.over_damping, found.over_delay), strict=True):
+            lines = {f"{line.replace(' ', '_')}_N_m": values for line, values in data.lines_N_m.items()}
+            columns = {data.along: data.values, "measured_N_m": data.measured_N_m, "exact_N_m": data.exact_N_m}
+            write_columns(folder / name, columns | lines)
     return [folder / name for name in FILES]
 
 

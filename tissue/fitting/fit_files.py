@@ -15,7 +15,8 @@ from tissue.figures.fit import FittedConstant, draw_constants, draw_measured, dr
 from tissue.fitting.fit import ConstantFit, SceneFit
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.system.html import html_page, html_picture
-from tissue.system.outputs import prepare_folder, write_columns
+from tissue.system.outputs import write_columns
+from tissue.system.owned_folder import owned_folder
 
 __all__ = ["FILES", "write_fit"]
 
@@ -53,7 +54,13 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
     InputError
         If the folder is a file, or holds another fit.
     """
-    prepare_folder(folder, FILES, "fit", overwrite=overwrite)
+    with owned_folder(folder, "fit", FILES, overwrite=overwrite):
+        _write_files(fit, folder)
+    return [folder / name for name in FILES if (folder / name).exists()]
+
+
+def _write_files(fit: SceneFit, folder: Path) -> None:
+    """Write a fit's files into a folder that is held."""
     digest = sha256(fit.path.read_bytes()).hexdigest()
     _write_constants(fit, folder / "fitted.toml", digest)
     posterior = fit.posterior
@@ -72,7 +79,6 @@ def write_fit(fit: SceneFit, folder: Path, *, overwrite: bool) -> list[Path]:
         temporary.write_text(json.dumps(_numbers(fit, digest), indent=1) + "\n", "utf-8")
     with whole_file(folder / "report.html") as temporary:
         temporary.write_text(_page(fit, folder), "utf-8")
-    return [folder / name for name in FILES]
 
 
 def unit_of(name: str) -> tuple[str, str]:

@@ -1,7 +1,6 @@
 """The folder of an import: surfaces, density, labels and what was found, in files that other programs read."""
 
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,16 +14,11 @@ from meshes.ct.imaged_bone import LAW
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface
-from tissue.system.outputs import output_locked, prepare_folder
+from tissue.system.owned_folder import listed_files, owned_folder
 
 __all__ = ["RECORD", "SCENE", "Imported", "import_folder", "write_density", "write_labels", "write_surface"]
 
 SCENE, RECORD = "scene.toml", "import.json"
-OURS = re.compile(
-    r"scene\.toml|import\.json|(bone|keep_clear_[a-z0-9_]+)\.ply|density\.nrrd|(labels|tooth)\.seg\.nrrd|organ\.vtu|"
-    r"path\.csv|(slices|histogram|bone|path)\.png"
-)
-"""Names of files that an import may have written: no other is taken away, whatever a record lists."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +77,7 @@ def write_labels(labels: Labels, path: Path) -> None:
 def import_folder(out: Path, files: Sequence[str], record: Mapping[str, Any], *, overwrite: bool) -> Iterator[None]:
     """Write the record of an import, and hold its folder while the block writes the scene and the other files.
 
-    Files that the record of another import lists are removed first; all others in the folder stay.
+    Files of another import in the folder are removed first; all other files in the folder stay.
 
     Parameters
     ----------
@@ -98,24 +92,12 @@ def import_folder(out: Path, files: Sequence[str], record: Mapping[str, Any], *,
         If one of the files is there and may not be replaced, or the folder cannot be written.
     """
     names = (SCENE, RECORD, *files)
-    with output_locked(out, folder=True):
-        prepare_folder(out, names, "import", overwrite=overwrite)
-        for name in _written_before(out / RECORD):
-            (out / name).unlink(missing_ok=True)
+    earlier = listed_files(out).get("import", ())
+    with owned_folder(out, "import", {*names, *earlier}, overwrite=overwrite):
         with whole_file(out / RECORD) as temporary:
             listed = {**record, "files": list(names)}
             temporary.write_text(json.dumps(listed, indent=2, ensure_ascii=False) + "\n", "utf-8")
         yield
-
-
-def _written_before(record: Path) -> list[str]:
-    """Files beside a record that it lists as its import's; none where it cannot be read."""
-    try:
-        listed = json.loads(record.read_text("utf-8"))["files"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
-    names = [name for name in listed if isinstance(name, str) and OURS.fullmatch(name)] if listed else []
-    return [name for name in names if (record.parent / name).is_file()]
 
 
 def _write(image: Image, path: Path, about: Mapping[str, str]) -> None:

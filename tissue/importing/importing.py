@@ -9,6 +9,7 @@ import numpy as np
 from meshes.base.errors import InputError
 from meshes.base.file_limits import memory_limit
 from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import whole_file
 from meshes.ct.density import DensityLaw
 from meshes.ct.labelled_bone import Box
 from meshes.ct.labels import Labels, on_grid_of
@@ -165,7 +166,8 @@ def _import_bone(request: ImportRequest, out: Path, *, overwrite: bool, pictures
             write_surface(surface, out / kept_files[name])
         if path is not None:
             path.table.write(out / "path.csv")
-        (out / SCENE).write_text(text, "utf-8")
+        with whole_file(out / SCENE) as temporary:
+            temporary.write_text(text, "utf-8")
         if pictures:
             progress("drawing", 0.0)
             sentences += draw_pictures(bone, at, clear, out, points_mm=None if path is None else path.points_mm)

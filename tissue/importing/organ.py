@@ -6,6 +6,7 @@ import numpy as np
 
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
+from meshes.base.whole_file import whole_file
 from meshes.ct.inspection import inspect
 from meshes.ct.label_check import soft_label_note
 from meshes.ct.labels import Labels, on_grid_of, read_labels
@@ -57,7 +58,8 @@ def import_organ(request: ImportRequest, out: Path, *, overwrite: bool, pictures
         progress("writing files", 0.0)
         write_organ(mesh, out / "organ.vtu")
         write_labels(_of_parts(labels, request), out / "labels.seg.nrrd")
-        (out / SCENE).write_text(text, "utf-8")
+        with whole_file(out / SCENE) as temporary:
+            temporary.write_text(text, "utf-8")
         if pictures:
             progress("drawing", 0.0)
             masks = {name: labels.mask(name) for name in (request.region, *request.parts)}

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
+from meshes.base.whole_file import whole_file
 from meshes.ct.inspection import inspect
 from meshes.ct.label_check import bone_label_note
 from meshes.ct.labels import Labels, on_grid_of, read_labels
@@ -65,7 +66,8 @@ def import_tooth(request: ImportRequest, out: Path, *, overwrite: bool, pictures
     with import_folder(out, files, _record(tooth, sentences), overwrite=overwrite):
         progress("writing files", 0.0)
         write_labels(tooth, out / "tooth.seg.nrrd")
-        (out / SCENE).write_text(toml(whole), "utf-8")
+        with whole_file(out / SCENE) as temporary:
+            temporary.write_text(toml(whole), "utf-8")
         if pictures:
             progress("drawing", 0.0)
             draw_tooth(image, tooth, out / "slices.png", centre_mm=middle)

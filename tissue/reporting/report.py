@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
@@ -20,8 +21,9 @@ from tissue.reporting.page import events_table, figures_of, materials_table, not
 from tissue.reporting.stage import stage
 from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
-from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.run_folder import SavedRun, added_to_run
 from tissue.system.html import html_page
+from tissue.system.outputs import require_new_file
 from tissue.viewer.run import require_whole
 
 __all__ = ["NAME", "write_report"]
@@ -68,16 +70,18 @@ def write_report(
     saved = SavedRun(folder)
     if out.suffix != ".html":
         raise InputError(f"out must end in .html, got {out}: choose for example {out.with_suffix('.html')}")
-    if out.is_dir() or (out.exists() and not overwrite):
-        raise InputError(f"out must not be there, got {out}: pass --overwrite to replace it or choose another --out")
-    report("reading the run", 0.0)
-    _require_whole(saved)
-    clean = _cleaner(saved)
-    shown = _cleaned({"stage": stage(saved), **_trace(saved)}, clean)
-    report("writing the report", 0.8)
-    text = _html(saved, shown, scripts, clean)
-    with whole_file(out) as temporary:
-        temporary.write_text(text, "utf-8")
+    require_new_file(out, overwrite=overwrite)
+    # In the run's folder the report is one of the run's files, which a new run there removes.
+    belongs = out.absolute().parent == folder.absolute() and out.name == NAME
+    with added_to_run(folder) if belongs else nullcontext():
+        report("reading the run", 0.0)
+        _require_whole(saved)
+        clean = _cleaner(saved)
+        shown = _cleaned({"stage": stage(saved), **_trace(saved)}, clean)
+        report("writing the report", 0.8)
+        text = _html(saved, shown, scripts, clean)
+        with whole_file(out) as temporary:
+            temporary.write_text(text, "utf-8")
     return out
 
 

@@ -1,8 +1,7 @@
 """The folder a run lives in: made ready, filled while the run goes on, read back."""
 
 import json
-import os
-import shutil
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -15,42 +14,26 @@ from meshes.base.whole_file import whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene, saved_text
 from tissue.scene.scene import Scene
-from tissue.simulation.run_summary import FORMAT, Summary, read_summary, summary_of
+from tissue.simulation.run_files import named_as_run_files, run_file_names
+from tissue.simulation.run_summary import FORMAT, Summary, read_summary
 from tissue.simulation.trace import Table, TraceWriter
-from tissue.simulation.trace_files import FORMATS, read_trace
-from tissue.system.outputs import OutputLock, identity, is_alive
+from tissue.simulation.trace_files import read_trace
+from tissue.system.outputs import identity, is_alive
+from tissue.system.owned_folder import OwnedFolder, listed_files, require_folder
 from tissue.system.stopping import Terminated
 
-__all__ = ["FORMAT", "RunFolder", "SavedRun", "saved_placement"]
+__all__ = ["FORMAT", "RunFolder", "SavedRun", "added_to_run", "copied_run", "files_of_run", "saved_placement"]
 
-OWN_FILES = (
-    "trace.csv",
-    *(f"trace.{kind}" for kind in FORMATS),
-    "recording.hdf5",
-    "timing.csv",
-    "scene.toml",
-    "summary.json",
-    "bone.vti",
-    "bone.nrrd",
-    "bone.stl",
-    "bone.vtp",
-    "carving.pvd",
-    "carving",
-    "fields.pvd",
-    "fields",
-    "pictures",
-    "band.csv",
-    "band",
-    "report.html",
-)
-"""Names in a run's folder."""
+KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
+"""Begin of the scene that a run keeps."""
 
 
 class RunFolder:
     """A folder that takes a run while it goes on, held against other processes until the run has ended.
 
-    It never replaces files that it did not write: a folder that holds a run is kept unless asked to overwrite it, and
-    one that holds other files of the same names is always kept. Nothing in it changes before `begin`.
+    A folder that holds a run is kept unless asked to overwrite it. Only files that the folder's marker lists are
+    replaced or removed, and a folder that holds other files of the same names is refused. Nothing in it changes before
+    `begin`. A folder without a marker counts as a run of version 0.2 if its files are those of a run by their content.
 
     Parameters
     ----------
@@ -66,44 +49,23 @@ class RunFolder:
     """
 
     def __init__(self, path: Path, *, overwrite: bool) -> None:
-        self.check(path, overwrite=overwrite)
-        self.path, self._overwrite = path, overwrite
+        adopted = _adopted(path)
+        self._owned = OwnedFolder(path, "run", run_file_names(), overwrite=overwrite, adopted=adopted)
+        self.path = path
         self._writers: list[TraceWriter] = []
         self._summary: Summary = {}
-        self._lock = OutputLock(path, folder=True)
 
     @staticmethod
     def check(path: Path, *, overwrite: bool) -> None:
         """Refuse a folder that cannot take a run."""
-        if path.exists() and not path.is_dir():
-            raise InputError(f"out must be a folder, got the file {path}: choose another --out")
-        existing = next(each for each in (path, *path.absolute().parents) if each.exists())
-        if not existing.is_dir():
-            raise InputError(f"out must lie in a folder, got {path} under the file {existing}: choose another --out")
-        if not os.access(existing, os.W_OK | os.X_OK):
-            raise InputError(f"out must be writable, got permission denied at {existing}: choose another --out")
-        taken = _run_files(path)
-        if not taken:
-            return
-        if not summary_of(path).get("format"):
-            raise InputError(
-                f"out must not hold files of other origin, got {path} with {taken[0]}: choose another --out"
-            )
-        if not overwrite:
-            raise InputError(
-                f"out must not hold another run, got {path}: pass --overwrite to replace it or choose another --out"
-            )
+        require_folder(path, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(path))
 
     def begin(self, scene: Scene, placement: Placement | None = None) -> None:
         """Take away what is replaced, and mark the folder as that of a run which goes on."""
-        self.check(self.path, overwrite=self._overwrite)  # another process may have ended a run here in between
+        self._owned.begin()
         placed = {} if placement is None else {"placement": placement.to_record()}
         written = {"format": FORMAT, "tissue": package_version(), "status": "running", "process": identity()}
         self._write_summary(written | {"scene": scene.name} | placed)
-        for name in _run_files(self.path):
-            if name != "summary.json":
-                entry = self.path / name
-                shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
         with whole_file(self.path / "scene.toml") as temporary:
             temporary.write_text(saved_text(scene) + _remark(placement), "utf-8")
 
@@ -116,7 +78,7 @@ class RunFolder:
             with suppress(OSError):  # such as a full disk: the run is then reported as one whose process is gone
                 self.close_tables()
                 self._stopped(error)
-            self._lock.release()
+            self._owned.release()
             raise
 
     def _stopped(self, error: BaseException) -> None:
@@ -155,12 +117,12 @@ class RunFolder:
         self.close_tables()
         summary = {name: value for name, value in self._summary.items() if name != "process"}
         self._write_summary(summary | {"status": "interrupted", "problem": problem})
-        self._lock.release()
+        self._owned.release()
 
     def complete(self, summary: Summary) -> None:
         """Write the summary of a run whose files are all there, and let go of the folder."""
         self._write_summary(summary)
-        self._lock.release()
+        self._owned.release()
 
     def _write_summary(self, summary: Summary) -> None:
         """Write ``summary.json`` at once: it is either the old one or the new one."""
@@ -245,11 +207,50 @@ def _remark(placement: Placement | None) -> str:
     return "\n" + title + "".join(f"# {name} = {array.tolist()}\n" for name, array in values.items())
 
 
-def _run_files(path: Path) -> list[str]:
-    """Entries of a folder that carry the names of a run's files."""
-    if not path.is_dir():
-        return []
-    return sorted(entry.name for entry in path.iterdir() if entry.name in OWN_FILES)
+@contextmanager
+def added_to_run(path: Path) -> Iterator[None]:
+    """Hold the folder of a run that has ended while the block adds files to it or replaces its own."""
+    with _held(OwnedFolder(path, "run", (), shared=run_file_names(), adopted=_adopted(path))):
+        yield
+
+
+@contextmanager
+def copied_run(path: Path, *, overwrite: bool) -> Iterator[None]:
+    """Hold a folder while the block copies the files of another run into it."""
+    with _held(OwnedFolder(path, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(path))):
+        yield
+
+
+@contextmanager
+def _held(folder: OwnedFolder) -> Iterator[None]:
+    try:
+        folder.begin()
+        yield
+    finally:
+        folder.release()
+
+
+def files_of_run(path: Path) -> list[str]:
+    """Names of the files that a run wrote into its folder; of a run without marker, those with names of its files."""
+    there = listed_files(path).get("run")
+    names = named_as_run_files(path) if there is None else there
+    return sorted(name for name in names if (path / name).is_file())
+
+
+def _adopted(path: Path) -> set[str]:
+    """Files of a run that version 0.2 wrote, without a marker; none where the folder is no such run by its content."""
+    if "run" in listed_files(path):
+        return set()
+    kept, table = path / "scene.toml", path / "trace.csv"
+    try:
+        saved = SavedRun(path)
+        if saved.scene is None or not isinstance(saved.summary.get("tissue"), str):
+            return set()
+        own = saved.scene.name == saved.summary["scene"] and KEPT_SCENE.match(kept.read_text("utf-8"))
+        whole = not saved.complete or (table.is_file() and (path / "timing.csv").is_file())
+    except (InputError, OSError):
+        return set()
+    return named_as_run_files(path) if own and whole else set()
 
 
 def _status_of(summary: Summary) -> str:

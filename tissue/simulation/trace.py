@@ -11,6 +11,8 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.whole_file import claim
+
 __all__ = ["LEAST_LOAD", "NO_LAYER", "TIMING_COLUMNS", "Table", "TraceLayout", "TraceWriter", "load_columns"]
 
 FLUSH_EVERY_S = 0.1
@@ -91,6 +93,7 @@ class TraceWriter:
 
     def __init__(self, path: Path, table: Table) -> None:
         self._table, self._path = table, path
+        claim(path)
         self._file: TextIO = path.open("w", encoding="utf-8", newline="\n")
         self._written = 0
         self._flushed_at = 0.0

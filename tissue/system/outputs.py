@@ -1,11 +1,11 @@
-"""What may be written where, so that nothing is lost unasked, and by one process at a time; columns as a table."""
+"""Checks of output files, locks against a second writer, and tables of columns."""
 
 import errno
 import os
 import platform
 import sys
 import weakref
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
@@ -27,8 +27,8 @@ __all__ = [
     "identity",
     "is_alive",
     "output_locked",
-    "prepare_folder",
     "require_new_file",
+    "require_place",
     "write_columns",
 ]
 
@@ -36,43 +36,75 @@ LOCK = ".lock"
 """Name of the lock in a folder; of a file's, the end of the hidden name next to it."""
 FAR = 1 << 30
 """Byte that is locked where locked bytes cannot be read (Windows): far beyond the process id."""
+LONGEST_LOCK = 32
+"""Longest content of a lock [characters]: the number of a process and the end of its line."""
+NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+"""Flag of the system that opens no symbolic link."""
 SAME_S = 5.0
 """Most by which the start of one process may differ between two looks [s]: the clock behind it may be set."""
 HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
 """The system's error for a lock that another has; anything else means that the file system has no locks."""
 
 
-def require_new_file(path: Path, *, overwrite: bool) -> None:
-    """Refuse a file that is there, unless it may be replaced.
+def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
+    """Check that a file can be written where none is, or in place of a regular file that may be replaced.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    overwrite
+        Allow a regular file to be replaced.
+    name
+        Option that names the file, for messages.
 
     Raises
     ------
     InputError
-        If it is there and may not, or is a folder.
+        If there is a file that may not be replaced, something else that is no regular file, or no folder to write to.
     """
-    if path.is_dir():
-        raise InputError(f"out must be a file, got the folder {path}: add the name of a file")
+    other = "another --out" if name == "out" else f"another file for --{name}"
+    require_place(path, folder=False, name=name)
+    if path.is_symlink():
+        raise InputError(f"{name} must be a regular file, got the symbolic link {path}: choose {other}")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{name} must be a regular file, got the device or pipe {path}: choose {other}")
     if path.exists() and not overwrite:
-        raise InputError(f"out must not exist yet, got {path}: pass --overwrite or choose another --out")
+        raise InputError(f"{name} must not exist yet, got {path}: pass --overwrite or choose {other}")
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"{name} must lie in a folder that exists, got {path}: create {path.parent}")
 
 
-def prepare_folder(folder: Path, names: Iterable[str], what: str, *, overwrite: bool) -> None:
-    """Make a folder where there is none; refuse one that holds some of these files and may not lose ``what`` they are.
+def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
+    """Check the name of an output and the folder above it, and change nothing.
 
     Raises
     ------
     InputError
-        If it is a file, or holds one of them.
+        If no such file or folder can be made there.
     """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"out must be a folder, got the file {folder}: choose another --out")
-    there = [name for name in names if (folder / name).exists()]
-    if there and not overwrite:
-        raise InputError(
-            f"out must not hold another {what}, got {folder / there[0]}: pass --overwrite to replace it or choose "
-            "another --out"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
+    other = "another --out" if name == "out" else f"another file for --{name}"
+    text = str(path)
+    if "\0" in text:
+        raise InputError(f"{name} must be a name without NUL, got {text!r}: choose {other}")
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        raise InputError(f"{name} must be a name in UTF-8, got {text!r}: choose {other}") from None
+    if not folder and path.is_dir():
+        raise InputError(f"{name} must be a file, got the folder {path}: add the name of a file")
+    place = path.absolute()
+    existing = next(each for each in (place, *place.parents) if os.path.lexists(each))
+    if existing.is_symlink() and not existing.exists():
+        raise InputError(f"{name} must not use a symbolic link that leads nowhere, got {existing}: choose {other}")
+    if existing == place and not folder:
+        existing = place.parent
+    if not existing.is_dir() and existing == place:
+        raise InputError(f"{name} must be a folder, got the file {path}: choose {other}")
+    if not existing.is_dir():
+        raise InputError(f"{name} must lie in a folder, got {path} under the file {existing}: choose {other}")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(f"{name} must be writable, got permission denied at {existing}: choose {other}")
 
 
 def write_columns(path: Path, columns: Mapping[str, ArrayLike]) -> None:
@@ -100,12 +132,8 @@ class OutputLock:
     """
 
     def __init__(self, out: Path, *, folder: bool) -> None:
+        require_place(out, folder=folder)
         place = (out if folder else out.parent).absolute()
-        existing = next(each for each in (place, *place.parents) if each.exists())
-        if not existing.is_dir():
-            under = "" if existing == place else f" under the file {existing}"
-            what = f"a folder, got the file {out}" if folder and not under else f"in a folder, got {out}{under}"
-            raise InputError(f"out must {'be' if folder and not under else 'lie'} {what}: choose another --out")
         made = [each for each in (place, *place.parents) if not each.exists()]
         place.mkdir(parents=True, exist_ok=True)
         path = place / (LOCK if folder else f".{out.name}{LOCK}")
@@ -126,7 +154,7 @@ def output_locked(out: Path, *, folder: bool) -> Iterator[None]:
 def _taken(path: Path, out: Path) -> TextIO:
     """The lock's file, locked, with this process's id in it."""
     while True:
-        file = path.open("a+", encoding="utf-8")
+        file = _opened(path)
         if not _lock(file):
             file.seek(0)
             owner = file.read().strip()
@@ -143,6 +171,31 @@ def _taken(path: Path, out: Path) -> TextIO:
     file.write(f"{os.getpid()}\n")
     file.flush()
     return file
+
+
+def _opened(path: Path) -> TextIO:
+    """Open the lock's file, and refuse a file of the user that has its name."""
+    plain = not path.is_symlink() and (path.is_file() or not path.exists())
+    if plain:
+        file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | NO_LINK, 0o666), "a+", encoding="utf-8")
+        if _is_lock(file):
+            return file
+        file.close()
+    raise InputError(
+        f"out must hold no file {path.name} of other origin, got one in {path.parent}: move it or choose another --out"
+    )
+
+
+def _is_lock(file: TextIO) -> bool:
+    """Return whether a file holds the number of a process or nothing, as a lock's file does."""
+    try:
+        file.seek(0)
+        held = file.read(LONGEST_LOCK + 1)
+    except UnicodeDecodeError:
+        return False
+    except OSError:  # locked bytes cannot be read on Windows: another writer holds it
+        return True
+    return not held or (held.strip().isdecimal() and len(held) <= LONGEST_LOCK)
 
 
 def _lock(file: TextIO) -> bool:

@@ -11,8 +11,8 @@ from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.whole_file import whole_file
 from tissue.figures.band import draw_band, draw_sobol
+from tissue.simulation.run_folder import added_to_run, files_of_run
 from tissue.simulation.run_summary import read_summary
-from tissue.system.outputs import output_locked
 from tissue.uncertainty.band import Band
 from tissue.uncertainty.figures import LEVELS
 from tissue.uncertainty.reweighed import CHANNELS
@@ -33,18 +33,19 @@ def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
     InputError
         If the folder holds no run, or another process writes to it.
     """
-    with output_locked(folder, folder=True):
-        summary = read_summary(folder)
+    summary = read_summary(folder)
+    with added_to_run(folder):
+        for old in _earlier_samples(folder):
+            old.unlink()
         names = [f"{channel}_{level}" for channel in CHANNELS for level in LEVELS]
         quantiles = np.moveaxis(band.quantiles, 0, 2).reshape(len(band.times_s), -1)
         rows = np.column_stack([band.times_s, band.nominal, quantiles])
         _write(folder / OVER_TIME, ["time_s", *CHANNELS, *names], rows)
         held = (folder / SAMPLES).parent
         held.mkdir(exist_ok=True)
-        for old in held.glob("sample_*.toml"):
-            old.unlink()
         for number, text in enumerate(band.files):
-            (held / sample_name(number, len(band.files))).write_text(text, "utf-8")
+            with whole_file(held / sample_name(number, len(band.files))) as temporary:
+                temporary.write_text(text, "utf-8")
         figures = [SEPARATOR.join(name) for name in band.figure_names]
         table = np.column_stack([band.numbers, band.values, band.figures])
         _write(folder / SAMPLES, ["sample", *band.constants, *figures], table)
@@ -55,6 +56,13 @@ def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
             draw_sobol(band.summary["sobol"], folder / "pictures" / f"band_sobol.{kind}", title=title)
         with whole_file(folder / "summary.json") as temporary:
             temporary.write_text(json.dumps(summary | {"band": band.summary}, indent=2) + "\n", "utf-8")
+
+
+def _earlier_samples(folder: Path) -> list[Path]:
+    """Return the files of an earlier band's samples."""
+    held = (folder / SAMPLES).parent
+    names = (folder / name for name in files_of_run(folder))
+    return [path for path in names if path.parent == held and path.suffix == ".toml"]
 
 
 def read_band(folder: Path) -> Band:

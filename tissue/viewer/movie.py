@@ -30,13 +30,11 @@ def check_movie(path: Path) -> None:
     Raises
     ------
     InputError
-        If its ending is not .mp4 or .gif, its folder is missing, or .mp4 cannot be written here.
+        If its ending is not .mp4 or .gif, or .mp4 cannot be written here.
     """
     kind = path.suffix.lower()
     if kind not in KINDS:
         raise InputError(f"movie must be a .mp4 or .gif file, got {path}: use {path.with_suffix('.gif')}")
-    if not path.absolute().parent.is_dir():
-        raise InputError(f"movie must lie in an existing folder, got {path}: make the folder first")
     problem = _encoder_problem() if kind == ".mp4" else None
     if problem is not None:
         raise InputError(

@@ -19,6 +19,7 @@ from tissue.simulation.live.page import require_web
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, field_names
 from tissue.system.offscreen import LONGEST_S, display_problem, draw_apart
+from tissue.system.outputs import require_new_file
 from tissue.viewer.movie import check_movie, write_movie
 from tissue.viewer.run import require_whole
 from tissue.viewer.site_window import is_imported, show_site
@@ -42,6 +43,7 @@ def view(
     scale: float = 1.0,
     time_s: float | None = None,
     clean: bool = False,
+    overwrite: bool = False,
     progress: Progress | None = None,
     opened: Callable[[str], object] | None = None,
 ) -> str:
@@ -53,9 +55,9 @@ def view(
         Folder that `tissue run` wrote, of a run that ended or was stopped; or one that `tissue import` wrote of a bone,
         whose site is then put by a click and saved into its scene.
     screenshot
-        PNG file to write instead of opening a window; an existing one is replaced.
+        PNG file to write instead of opening a window.
     movie
-        MP4 or GIF file to write instead of opening a window; an existing one is replaced.
+        MP4 or GIF file to write instead of opening a window.
     hide
         Layers that are switched off at first.
     field
@@ -67,6 +69,8 @@ def view(
     clean
         Whether a screenshot shows what was simulated alone on a transparent ground, cropped to it, without text,
         scales, tool and arrows.
+    overwrite
+        Replace the file of the screenshot or movie.
     progress
         Called with how much of a file is drawn.
     opened
@@ -83,7 +87,7 @@ def view(
         If the folder holds no run or nothing to show, there is no such layer, field or moment, no display for a window,
         or the picture cannot be drawn.
     """
-    _check_files(screenshot, movie, time_s)
+    _check_files(screenshot, movie, time_s, overwrite=overwrite)
     if opened is not None:
         _check_web(Path(path), screenshot, movie)
     if clean and screenshot is None:
@@ -172,7 +176,7 @@ def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progre
         shutil.copyfile(drawn, temporary)
 
 
-def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | None) -> None:
+def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | None, *, overwrite: bool) -> None:
     """Refuse files that cannot be written, before those of the run are read."""
     if movie is not None:
         check_movie(movie)
@@ -180,11 +184,13 @@ def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | No
             raise InputError(
                 f"time_s must be left out with movie, which shows all of them, got {time_s:g}: leave it out"
             )
-    if screenshot is not None:
-        if screenshot.suffix.lower() != ".png":
-            raise InputError(f"screenshot must be a .png file, got {screenshot}: use {screenshot.with_suffix('.png')}")
-        if not screenshot.absolute().parent.is_dir():
-            raise InputError(f"screenshot must lie in an existing folder, got {screenshot}: make the folder first")
+    if screenshot is not None and screenshot.suffix.lower() != ".png":
+        raise InputError(f"screenshot must be a .png file, got {screenshot}: use {screenshot.with_suffix('.png')}")
+    for kind, file in (("screenshot", screenshot), ("movie", movie)):
+        if file is not None:
+            require_new_file(file, overwrite=overwrite, name=kind)
+    if overwrite and screenshot is None and movie is None:
+        raise InputError("overwrite must come with a screenshot or a movie, got neither: leave it out")
 
 
 def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:

@@ -114,7 +114,11 @@ def test_files_are_written_once(run, other, tmp_path):
 def test_the_command_prints_and_writes(run, other, command, tmp_path):
     code, out, _ = command("compare", run.path, other.path, "--out", tmp_path / "out")
     assert code == 0 and "peak_force_N" in out and "motion.feed_mm_s: milling 5.0, faster 9.0" in out
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["compare.csv", "compare.png"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        ".tissue.json",
+        "compare.csv",
+        "compare.png",
+    ]
     assert command("compare", run.path)[0] == 2
     code, _, err = command("compare", run.path, other.path, "--over", "depth")
     assert code == 2 and "--over must be left out without --out" in err

@@ -92,7 +92,7 @@ def test_a_sweep_is_gone_on_with_and_lists_what_fails(scene, out, monkeypatch):
         "feed_mm_s=-6": "motion.feed_mm_s must be greater than 0 and at most 1000, got -6.0: use 1"
     }
     assert {path.name for path in out.iterdir()} == {
-        "feed_mm_s=3", "feed_mm_s=9", "sweep.json", "sweep.csv", "sweep.png", "compare.png",
+        ".tissue.json", "feed_mm_s=3", "feed_mm_s=9", "sweep.json", "sweep.csv", "sweep.png", "compare.png",
     }  # fmt: skip
     rows = list(csv.DictReader((out / "sweep.csv").open()))
     run = tissue.open_run(out / "feed_mm_s=9")

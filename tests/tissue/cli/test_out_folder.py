@@ -52,11 +52,11 @@ def test_a_file_in_the_place_of_the_folder_is_refused(refused, here):
 
 def test_a_folder_that_cannot_be_written_is_refused(refused, here, monkeypatch):
     (here / "shut").mkdir()
-    monkeypatch.setattr("tissue.simulation.run_folder.os.access", lambda path, mode: Path(path) != here / "shut")
+    monkeypatch.setattr("tissue.system.outputs.os.access", lambda path, mode: Path(path) != here / "shut")
     assert refused("run", "milling", "--out", "shut/run") == (
         f"out must be writable, got permission denied at {here / 'shut'}: choose another --out"
     )
-    monkeypatch.setattr("tissue.simulation.run_folder.os.access", lambda path, mode: True)
+    monkeypatch.setattr("tissue.system.outputs.os.access", lambda path, mode: True)
 
     def read_only(self, *_, **__):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(self))

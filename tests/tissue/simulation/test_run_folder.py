@@ -43,6 +43,7 @@ def test_the_folder_holds_every_file(made):
         "bone.vtp",
         "carving",
         "carving.pvd",
+        ".tissue.json",
     }
     summary = json.loads((made / "summary.json").read_text())
     assert summary["status"] == "complete" and summary["scene"] == "glenoid"

@@ -15,7 +15,8 @@ from meshes.base.whole_file import whole_file
 from tissue.evaluation.atlas.drawing import picture
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict
 from tissue.system.html import html_page, html_picture
-from tissue.system.outputs import prepare_folder, write_columns
+from tissue.system.outputs import write_columns
+from tissue.system.owned_folder import owned_folder
 
 __all__ = ["chosen_pages", "write_atlas"]
 
@@ -116,12 +117,19 @@ def write_atlas(
     InputError
         If the folder is a file, or holds an atlas that is not to be replaced.
     """
-    prepare_folder(folder, [INDEX], "atlas", overwrite=overwrite)
+    names = [INDEX, *(f"{page.name}{end}" for page in pages for end in (".png", "_*.csv"))]
+    with owned_folder(folder, "atlas", names, overwrite=overwrite):
+        return _write_pages(folder, pages, progress)
+
+
+def _write_pages(folder: Path, pages: Sequence[Page], progress: Progress) -> list[Entry]:
+    """Make pages and write their files into a folder that is held."""
     entries = []
     for number, page in enumerate(pages):
         progress(page.title, number / len(pages))
         entry, data = _made(page)
-        (folder / f"{page.name}.png").write_bytes(entry.picture)
+        with whole_file(folder / f"{page.name}.png") as temporary:
+            temporary.write_bytes(entry.picture)
         for table, columns in data.items():
             write_columns(folder / f"{page.name}_{table}.csv", columns)
         entries.append(entry)

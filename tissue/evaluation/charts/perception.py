@@ -19,7 +19,7 @@ from tissue.perception.stevens import intensity_of
 from tissue.perception.weber import weber_of
 from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate
-from tissue.system.outputs import prepare_folder
+from tissue.system.owned_folder import owned_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,9 +44,9 @@ def perception_charts(out: Path, observer: Path | None, *, overwrite: bool = Fal
     someone = EXAMPLE if observer is None else read_observer(observer)
     drawn = {"people": _people, "command": _command, "deadband": _deadband, "estimate": _estimate}
     pictures = {f"perception-{name}.png": draw for name, draw in drawn.items()}
-    prepare_folder(out, pictures, "chart", overwrite=overwrite)
-    for name, draw in pictures.items():
-        draw(someone, out / name)
+    with owned_folder(out, "chart", pictures, overwrite=overwrite):
+        for name, draw in pictures.items():
+            draw(someone, out / name)
     return [out / name for name in pictures]
 
 

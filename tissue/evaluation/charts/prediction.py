@@ -23,7 +23,7 @@ from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, is_trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
-from tissue.system.outputs import prepare_folder
+from tissue.system.owned_folder import owned_folder
 
 __all__ = [
     "OURS",
@@ -128,22 +128,42 @@ def compare(scene: Scene, *, trials: int, report: Progress = silent) -> Predicto
     for index in range(max(SIZES)):
         report(f"{scene.name}: training run {index + 1}", (trials + index) / steps)
         seen.append(recorder.record(trial(scene, index)))
-    report(f"{scene.name}: measuring", (trials + max(SIZES)) / steps)
-    return measured(trained, unseen, seen, force_limit_N=limit)
+
+    def report_measuring(doing: str, share: float) -> None:
+        report(f"{scene.name}: {doing}", (trials + max(SIZES) + (steps - trials - max(SIZES)) * share) / steps)
+
+    return measured(trained, unseen, seen, force_limit_N=limit, report=report_measuring)
 
 
 def measured(
-    trained: Trained, unseen: Sequence[Recording], seen: Sequence[Recording], *, force_limit_N: float
+    trained: Trained,
+    unseen: Sequence[Recording],
+    seen: Sequence[Recording],
+    *,
+    force_limit_N: float,
+    report: Progress = silent,
 ) -> PredictorComparison:
     """Measure predictors on recorded runs; others train those for the training sizes."""
+    sizes_done = [size for size in SIZES if size <= len(seen)]
+    total = 2 * len(PREDICTORS) + len(sizes_done)
+    done = 0
+
+    def step(doing: str) -> None:
+        nonlocal done
+        report(doing, done / total)
+        done += 1
 
     def maker(kind: str, of: Trained = trained) -> Callable[[], Predictor]:
         return lambda: trained_predictor(kind, of, force_limit_N=force_limit_N)
 
-    errors = {kind: forecast_errors(maker(kind), unseen) for kind in PREDICTORS}
+    errors = {}
+    for kind in PREDICTORS:
+        step(f"measuring {kind}")
+        errors[kind] = forecast_errors(maker(kind), unseen)
     cost_us = {kind: _cost_us(maker(kind), unseen[0]) for kind in PREDICTORS}
     sizes = {}
-    for size in (each for each in SIZES if each <= len(seen)):
+    for size in sizes_done:
+        step(f"training on {size} runs")
         fitted = fit(trained.scene, seen[:size])
         smaller = replace(trained, operator=fitted.operator, growth=fitted.growth)
         found = forecast_errors(maker(OURS, smaller), unseen[:SIZED_RUNS], horizons=(DELAY_MS,))
@@ -151,6 +171,7 @@ def measured(
     model_us = 1e6 * float(np.median([run.model_s for run in unseen]))
     slow = {"1 kHz": (Interval(0.0, 0.0, 0.0), model_us)}
     for kind in PREDICTORS:
+        step(f"measuring {kind} with a slow model")
         found = forecast_errors(maker(kind), unseen, horizons=(0,), model_ticks=SLOW_TICKS)
         slow[kind] = (interval(found[:, 0]), model_us / SLOW_TICKS + cost_us[kind][0])
     return PredictorComparison(trained.scene, errors, cost_us, trained.operator.eigenvalues, sizes, slow)
@@ -203,15 +224,16 @@ def chart_prediction(
     """
     if trials < 2:
         raise InputError(f"trials must be at least 2, got {trials}: use 30")
-    prepare_folder(folder, FILES, "chart", overwrite=overwrite)
+    files = (*FILES, *(f"prediction_{scene.name}.png" for scene in scenes))
     found = []
-    for index, scene in enumerate(scenes):
-        onward = lambda doing, share, index=index: report(doing, (index + share) / len(scenes))  # noqa: E731
-        found.append(compare(scene, trials=trials, report=onward))
-    for each in found:
-        draw_scene(each, folder / f"prediction_{each.scene}.png")
-    draw_tasks(found, folder / "prediction_tasks.png")
-    _write_comparisons(found, folder)
+    with owned_folder(folder, "chart", files, overwrite=overwrite):
+        for index, scene in enumerate(scenes):
+            onward = lambda doing, share, index=index: report(doing, (index + share) / len(scenes))  # noqa: E731
+            found.append(compare(scene, trials=trials, report=onward))
+            # At once: a chart takes half an hour, and one that is stopped keeps the scenes that are done.
+            draw_scene(found[-1], folder / f"prediction_{scene.name}.png")
+            draw_tasks(found, folder / "prediction_tasks.png")
+            _write_comparisons(found, folder)
     return found
 
 

@@ -27,7 +27,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.reference_force import ideal_scene
 from tissue.simulation.simulate import TICK_S, simulate
-from tissue.system.outputs import prepare_folder
+from tissue.system.owned_folder import owned_folder
 from tissue.system.workers import first_done
 
 __all__ = ["chart_lines", "chart_scenes", "charted", "make_ready", "notes_before"]
@@ -56,7 +56,15 @@ def chart_scenes(
         If a scene is unknown, ``out`` is a file, or it holds a chart already.
     """
     scenes = [load_scene(name) for name in names or scene_names()]
-    prepare_folder(out, [f"{scene.name}.csv" for scene in scenes], "chart", overwrite=overwrite)
+    files = [f"{scene.name}{end}" for scene in scenes for end in (".csv", ".png")]
+    with owned_folder(out, "chart", files, overwrite=overwrite, shared=("frontier.png", "machine.txt")):
+        return _chart_scenes(scenes, out, quick=quick, pool=pool, report=report)
+
+
+def _chart_scenes(
+    scenes: Sequence[Scene], out: Path, *, quick: bool, pool: Executor | None, report: Progress
+) -> list[list[Frontier]]:
+    """Chart scenes into a folder that is held."""
     kinds = [charted(scene) for scene in scenes]
     begin = 0.0
     if pool is not None:

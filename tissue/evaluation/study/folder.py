@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from pydantic import TypeAdapter
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version, require_version
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import claim, whole_file
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.evaluation.study.registered import (
@@ -25,12 +26,16 @@ from tissue.evaluation.study.registered import (
 from tissue.evaluation.study.tasks import TASKS
 from tissue.evaluation.study.trial import Row, Trial
 from tissue.system.outputs import LOCK
+from tissue.system.owned_folder import MARKER, OwnedFolder, require_listed
 
 __all__ = ["Stamp", "StudyFolder"]
 
 FORMAT = 2
 """Version of a study's folder."""
 PLAN = "study.json"
+KIND = "study"
+"""Kind of output in the marker of the folder."""
+TABLES = ("trials.csv", *(f"{name}.csv" for name, task in TASKS.items() if task.case))
 
 
 READ_TRIAL = TypeAdapter(Trial)
@@ -79,8 +84,42 @@ class StudyFolder:
         InputError
             If it holds another study, one of another version, a plan that was edited, or other files.
         """
-        there: list[Registration] = []
-        registers = True
+        there = self._require_same(plan)
+        registers = not there or plan != self.plan()
+        self.path.mkdir(parents=True, exist_ok=True)
+        if registers:
+            count = sum(1 for _ in (self.path / "trials").glob("*.json"))
+            there = register(self.path, plan, there, trials=count)
+            content = {"format": FORMAT, "tissue": package_version()} | asdict(plan) | {"registrations": there}
+            _write(self.path / PLAN, content)
+        (self.path / "trials").mkdir(exist_ok=True)
+        broken = [key for key in plan.all_trials() if self.has(key) and self.read(key) is None]
+        for key in broken:
+            self._file(key).unlink()
+        return [f"trial {key.name} was cut short and is run again" for key in broken]
+
+    @contextmanager
+    def held(self, plan: Plan) -> Iterator[list[str]]:
+        """Hold the folder against other processes while the block runs trials; see `begin` for sentences and errors."""
+        earlier = self._earlier_files() if self._require_same(plan) else ()
+        folder = OwnedFolder(self.path, KIND, (), adopted=earlier)
+        try:
+            self._require_same(plan)  # another process may have begun a study since
+            folder.begin()
+            for name in TABLES:  # listed now, since a report writes them while another process holds the folder
+                claim(self.path / name)
+            yield self.begin(plan)
+        finally:
+            folder.release()
+
+    def _earlier_files(self) -> set[str]:
+        """Return the files that a study has in this folder, for one of version 0.2, which has no marker."""
+        plans = {str(each["file"]) for each in self.registrations()}
+        trials = {f"trials/{key.name}.json" for key in self.plan().all_trials()}
+        return {name for name in (PLAN, *plans, *TABLES, *trials) if (self.path / name).is_file()}
+
+    def _require_same(self, plan: Plan) -> list[Registration]:
+        """Refuse a folder that holds another study or other files; return the plans that are registered in it."""
         if (self.path / PLAN).is_file():
             held = self.plan()
             if not plan.holds(held):
@@ -95,20 +134,10 @@ class StudyFolder:
                 )
             there = self.registrations()
             require_unchanged(self.path, there)
-            registers = not there or plan != held
-        elif self.path.is_dir() and any(each.name not in (LOCK, PLAN_FILE) for each in self.path.iterdir()):
+            return there
+        if self.path.is_dir() and any(each.name not in (LOCK, MARKER, PLAN_FILE) for each in self.path.iterdir()):
             raise InputError(f"out must be empty or hold this study, got other files in {self.path}: choose another")
-        self.path.mkdir(parents=True, exist_ok=True)
-        if registers:
-            count = sum(1 for _ in (self.path / "trials").glob("*.json"))
-            there = register(self.path, plan, there, trials=count)
-            content = {"format": FORMAT, "tissue": package_version()} | asdict(plan) | {"registrations": there}
-            _write(self.path / PLAN, content)
-        (self.path / "trials").mkdir(exist_ok=True)
-        broken = [key for key in plan.all_trials() if self.has(key) and self.read(key) is None]
-        for key in broken:
-            self._file(key).unlink()
-        return [f"trial {key.name} was cut short and is run again" for key in broken]
+        return []
 
     def plan(self) -> Plan:
         """The plan.
@@ -231,6 +260,7 @@ class StudyFolder:
         for task in (each for each in self.plan().tasks if each in there):
             families.setdefault(task if TASKS[task].case else "trials", []).append(task)
         for name, tasks in families.items():
+            require_listed(self.path, KIND, f"{name}.csv")
             self.table(*tasks).write_csv(self.path / f"{name}.csv")
 
     def _file(self, key: TrialKey) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from meshes.base.errors import InputError
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import claim, whole_file
 from tissue.evaluation.study.plan import Plan
 
 __all__ = ["PLAN_FILE", "Registration", "code_sha256", "content_sha256", "register", "registered", "require_unchanged"]
@@ -40,6 +40,7 @@ def register(folder: Path, plan: Plan, held: list[Registration], *, trials: int)
     path = folder / PLAN_FILE
     if kept:
         earlier = f"plan-{len(kept)}.toml"
+        claim(folder / earlier)
         path.replace(folder / earlier)
         kept[-1] = kept[-1] | {"file": earlier}
     text = plan_text(plan).encode("utf-8")

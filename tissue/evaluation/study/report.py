@@ -26,7 +26,7 @@ from tissue.evaluation.study.tasks import TASKS
 from tissue.evaluation.study.tested import composite_section, power_section, regression_section, tests_sections
 from tissue.evaluation.study.trial import failures_of
 from tissue.system.html import html_page, html_picture
-from tissue.system.outputs import output_locked
+from tissue.system.owned_folder import listed_files, owned_folder
 
 __all__ = ["sections_of", "write_report"]
 
@@ -44,7 +44,10 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
     folder, out = StudyFolder(path), path / "report"
     folder.plan()  # refuses what is no study before anything is made in it
     page = out / "index.html"
-    with output_locked(out, folder=True):
+    # The folder of a study of version 0.2 has no marker: what lies in its report is that of an earlier report.
+    listed = listed_files(out) or listed_files(path)
+    earlier = () if listed else {each.name for each in (page, *out.glob("*.csv")) if each.is_file()}
+    with owned_folder(out, "study report", (), shared=["index.html"], adopted=earlier):
         sections = sections_of(folder, report=report)
         links = " · ".join(f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections)
         body = "\n".join(_as_html(section, section.write_csv(out)) for section in sections)

@@ -67,10 +67,18 @@ def run_study(
         require_range("workers", (os.cpu_count() or 1) if workers is None else workers, 1, 4096, "use one a core")
     )
     folder = StudyFolder(out)
-    for sentence in folder.begin(plan):
-        report(sentence, 0.0)
-    if retry:
-        folder.forget_failures()
+    with folder.held(plan) as sentences:
+        for sentence in sentences:
+            report(sentence, 0.0)
+        if retry:
+            folder.forget_failures()
+        _run_trials(plan, folder, count, scheduler, report)
+        folder.write_tables()
+    return folder
+
+
+def _run_trials(plan: Plan, folder: StudyFolder, count: int, scheduler: str | None, report: Progress) -> None:
+    """Run the trials that the folder does not hold yet, and replace workers that are lost."""
     work = _Work(plan, folder, report)
     barren, connected = 0, False
     while work.waiting:
@@ -97,8 +105,6 @@ def run_study(
             else:
                 work.losses.update(work.running.values())
             sleep(min(2.0, 0.1 * barren))
-    folder.write_tables()
-    return folder
 
 
 def _in_worker(plan: Plan, key: TrialKey) -> Trial:
