@@ -173,7 +173,14 @@ def _probe(
 
 
 def _bone(
-    scene: Scene, volume: VoxelVolume, cutter: Cutter, motion: Motion, *, compute: str, cores: int | None, report: Progress
+    scene: Scene,
+    volume: VoxelVolume,
+    cutter: Cutter,
+    motion: Motion,
+    *,
+    compute: str,
+    cores: int | None,
+    report: Progress,
 ) -> TissueModel:
     """The bone model; loading it compiles its kernels where their cache is cold."""
     report("compiling kernels (the first time on a machine)", 0.0)
@@ -232,7 +239,7 @@ def _tooth(scene: Scene, milling: "BoneModel", motion: Motion, *, compute: str, 
     if scene.heat:
         report("building the grid of the temperature", 0.0)
         heat = CuttingHeat(
-            whole_tooth(scene, spacing_m=HEAT_CELL * cell_m, report=report),
+            whole_tooth(scene, spacing_m=max(HEAT_CELL * cell_m, milling.store.grid.spacing_m), report=report),
             milling,
             reach_m=reach(milling.cutter, motion, 0.0),
             constants=scene.constants,

@@ -13,7 +13,7 @@ TOLERANCE = 0.01
 """Largest difference between the speed that led to a pose and the speed that balances the forces there, relative to the
 larger of both. The balance itself is exact: the tolerance is one of the pose, a hundredth of a tick's travel."""
 MOST_POSES = 10
-"""Poses that are tried in a tick: halving the interval of possible speeds 7 times brings it below `TOLERANCE`."""
+"""Poses that are tried in a tick. Halving the interval of possible speeds 7 times brings it to a hundredth."""
 
 
 def implicit_speed(speed: float, *, thrust: float, drag: float, mass: float, step_s: float) -> float:
@@ -25,7 +25,8 @@ class SpeedSearch:
     """Search for the speed of a tick that balances the forces at the pose to which this speed leads.
 
     The balanced speed S(v) at the pose of a tried speed v lies within the allowed speeds, so that S(v) - v changes its
-    sign between them. The interval with the change of sign shrinks with every pose. Where the force jumps, as at the
+    sign between them. The balanced speed itself is tried next; if two of them have not come close, the interval with the
+    change of sign is halved. Where the force jumps, as at the
     first contact of a flat reamer, the search ends on the side of the larger force.
 
     Attributes
@@ -36,13 +37,13 @@ class SpeedSearch:
 
     def __init__(self) -> None:
         self.tried = 0.0
-        self._low = self._high = self._narrow = 0.0
+        self._low = self._high = 0.0
         self._poses = 0
 
     def begin(self, speed: float, *, highest: float) -> None:
         """Start a tick with a first guess; speeds from 0 to ``highest`` are allowed [m/s]."""
         self.tried = speed
-        self._low, self._high, self._narrow = 0.0, highest, TOLERANCE * highest
+        self._low, self._high = 0.0, highest
         self._poses = 0
 
     def accepts(self, balanced: float) -> bool:
@@ -53,17 +54,15 @@ class SpeedSearch:
             return True
         if balanced < tried:
             self._high = tried
-            if self._high - self._low <= self._narrow or self._poses >= MOST_POSES:
-                return True
         else:
             self._low = tried
-            if self._high - self._low <= self._narrow or self._poses >= MOST_POSES:
-                if tried == self._high:
-                    return True
-                self._low = self.tried = self._high
-                return False
+        if self._high - self._low <= TOLERANCE * self._high or self._poses >= MOST_POSES:
+            if tried == self._high:
+                return True
+            self._low = self.tried = self._high
+            return False
         is_inside = self._low < balanced < self._high
-        self.tried = balanced if self._poses == 1 and is_inside else 0.5 * (self._low + self._high)
+        self.tried = balanced if self._poses <= 2 and is_inside else 0.5 * (self._low + self._high)
         return False
 
 

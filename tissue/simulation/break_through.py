@@ -1,9 +1,10 @@
 """Where a tool came out of bone again ahead of it, and how far it plunged from there."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from meshes.base.arrays import Array
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.trace import Table
@@ -21,19 +22,30 @@ class BreakThrough:
     Attributes
     ----------
     time_s
-        When.
+        When it first did so in this hole.
     plunge_mm
-        How far it went on from there along its axis, until the end or until it met bone again.
+        How far it went on from there along its axis, until the end or until it met bone again; the largest of all
+        passes through the hole.
     """
 
     time_s: float
     plunge_mm: float
 
 
-def break_throughs(volume: VoxelVolume, trace: Table) -> list[BreakThrough]:
+def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[BreakThrough]:
     """Where the tip of a tool passed from the inside of the bone, as it was before any cut, to its outside ahead.
 
-    The surface is where interpolated voxels are half full; its place along a tick is interpolated too.
+    The surface is where interpolated voxels are half full; its place along a tick is interpolated too. One hole is one
+    break-through: where the tool has been before, within its radius of its axis and behind its tip, the bone is open.
+
+    Parameters
+    ----------
+    volume
+        The bone before any cut.
+    trace
+        Trace of the run.
+    radius_m
+        Radius of the tool [m].
     """
     from scipy.ndimage import map_coordinates
 
@@ -46,11 +58,27 @@ def break_throughs(volume: VoxelVolume, trace: Table) -> list[BreakThrough]:
     forward = -np.einsum("ij,ij->i", steps, axes[1:])
     travel = np.concatenate([[0.0], np.cumsum(forward)])
     leaves = (share[:-1] >= 0.5) & (share[1:] < 0.5) & (forward > FORWARD * np.linalg.norm(steps, axis=1))
-    found = []
+    found: list[BreakThrough] = []
+    exits_mm: list[Array] = []
     for row in np.flatnonzero(leaves):
         part = float((share[row] - 0.5) / (share[row] - share[row + 1]))
+        exit_mm = tips[row] + part * steps[row]
         start = travel[row] + part * forward[row]
         again = np.flatnonzero(share[row + 1 :] >= 0.5)
         end = row + 1 + (int(again[0]) if len(again) else len(share))
-        found.append(BreakThrough(float(row + part) * TICK_S, float(travel[row + 1 : end].max() - start)))
+        plunge_mm = float(travel[row + 1 : end].max() - start)
+        if found and _was_there(exit_mm, tips[: row + 1], axes[: row + 1], radius_mm=1e3 * radius_m):
+            hole = int(np.argmin([np.linalg.norm(exit_mm - each) for each in exits_mm]))
+            found[hole] = replace(found[hole], plunge_mm=max(found[hole].plunge_mm, plunge_mm))
+            continue
+        found.append(BreakThrough(float(row + part) * TICK_S, plunge_mm))
+        exits_mm.append(exit_mm)
     return found
+
+
+def _was_there(point_mm: Array, tips_mm: Array, axes: Array, *, radius_mm: float) -> bool:
+    """Return whether a point lies within a tool's radius of its axis and behind its tip at one of some poses."""
+    away = point_mm - tips_mm
+    along = np.einsum("ij,ij->i", away, axes)
+    across = np.linalg.norm(away - along[:, None] * axes, axis=1)
+    return bool(((along > 0.0) & (across < radius_mm)).any())

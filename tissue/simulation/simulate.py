@@ -228,7 +228,7 @@ def _loop(
         parts.notes["prediction"] = note
     broke = []
     if parts.volume is not None and parts.cutter is not None and parts.cutter.spin_rad_s != 0.0:
-        broke = break_throughs(parts.volume, trace)
+        broke = break_throughs(parts.volume, trace, radius_m=parts.cutter.profile.radius_m)
     through = [(each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke]
     events = sorted(loop.events + motion.happened() + through, key=lambda event: event[0])
     run = Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=loop.poses)

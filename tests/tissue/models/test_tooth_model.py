@@ -15,7 +15,7 @@ COARSE = {
     "motion.feed_mm_s": 3.0,
     "duration_s": 0.62,
 }
-MOVES = tuple(f"tooth_{c}_um" for c in "xyz")
+MOVES = tuple(f"tooth_{part}_{c}_um" for part in ("centroid", "at_bur") for c in "xyz")
 COLUMN = ("dentin_over_pulp_mm",)
 
 
@@ -161,10 +161,10 @@ def test_the_tooths_own_columns(run):
     """They are in the trace; the tooth is pushed down by the bur and back at rest without it."""
     assert run.parts.tissue.measure_names == COLUMN + MOVES
     at = run.trace.columns.index(COLUMN[0])
-    assert run.trace.columns[at : at + 4] == COLUMN + MOVES
+    assert run.trace.columns[at : at + 7] == COLUMN + MOVES
     pushed = run.trace["model_force_z_N"] > 0.1
-    assert (run.trace["tooth_z_um"][pushed] < 0.0).all()
-    assert not run.trace.vectors("tooth", "um")[run.trace["contact_mm2"] == 0.0].any()
+    assert (run.trace["tooth_centroid_z_um"][pushed] < 0.0).all()
+    assert not run.trace.vectors("tooth_centroid", "um")[run.trace["contact_mm2"] == 0.0].any()
 
 
 @pytest.mark.slow

@@ -51,3 +51,16 @@ def test_a_thrust_without_a_brake_plunges_to_its_stop():
     run = drilled(motion=push)
     (found,) = run.summary["break_through"]
     assert found["plunge_mm"] == pytest.approx(6.0 - THICKNESS_MM, abs=0.05)
+
+
+def test_pecking_breaks_through_once_a_hole():
+    """Three passes through one hole, the last the deepest, then a hole of its own 3 mm away: two, each with its plunge."""
+    first = [[0, 0, 1], [0, 0, -4.5], [0, 0, -2], [0, 0, -5], [0, 0, 0.5], [0, 0, -6]]
+    second = [[0, 0, 1], [3, 0, 1], [3, 0, -5.5]]
+    run = drilled(motion={"kind": "path", "points_mm": first + second, "feed_mm_s": 40.0})
+    plunges = [found["plunge_mm"] for found in run.summary["break_through"]]
+    assert plunges == pytest.approx([6.0 - THICKNESS_MM, 5.5 - THICKNESS_MM], abs=0.05)
+    assert [found["time_s"] for found in run.summary["break_through"]] == pytest.approx(
+        [(1.0 + THICKNESS_MM) / 40.0, (5.5 + 2.5 + 3.0 + 5.5 + 6.5 + 7.0 + 3.0 + 1.0 + THICKNESS_MM) / 40.0], abs=2e-3
+    )
+    assert sum("broke through" in event["what"] for event in run.summary["events"]) == 2

@@ -67,6 +67,11 @@ class EngagedElements:
             cores=cores,
         )
 
+    @property
+    def nowhere(self) -> tuple[Array, Array, Array]:
+        """What `cutting` returns of a cutter that meets no bone."""
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
         """Return, of every element, the share that cuts, the advance per unit of speed, the layer and the density."""
         self.bone.take(motion)

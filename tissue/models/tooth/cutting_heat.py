@@ -74,19 +74,25 @@ class CuttingHeat:
         self._volume_m3 = self.grid.volumes_m3.reshape(-1)
         self._conductivity = self.grid.conductivity_W_mK.reshape(-1)
         self._pulp = np.flatnonzero(self.grid.pulp & (self.grid.filled > 0.0))
+        self._wall = self.grid.pulp_wall()
         self._milling = milling
         self._before = milling.store.remaining.numpy().copy()
         self._engaged = EngagedElements(milling, device=device)
         self._power = np.zeros(self.grid.filled.size)
         self._warmer_K = np.zeros(self.grid.filled.size)
         self._lost = np.zeros(self.grid.filled.size)
-        self._points_m, self._normals, self._watts = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+        self._power_W, self._tip_m = 0.0, np.zeros(3)
+        self._earlier = self._later = self._engaged.nowhere
         self._steps = self._done = 0
 
     @property
     def pulp_rise_K(self) -> float:
-        """Highest rise of what is left of the pulp [K]."""
-        return float(self.field.rise_K.reshape(-1)[self._pulp].max(initial=0.0))
+        """Highest rise of what is left of the pulp, at its wall or inside [K]."""
+        rise, filled = self.field.rise_K.reshape(-1), self.field.filled.reshape(-1)
+        inner, outer, weights = self._wall
+        there = (filled[inner] > 0.0) & (filled[outer] > 0.0)
+        wall = weights * rise[inner] + (1.0 - weights) * rise[outer]
+        return max(float(wall[there].max(initial=0.0)), float(rise[self._pulp].max(initial=0.0)))
 
     @property
     def balance_J(self) -> dict[str, float]:
@@ -117,8 +123,10 @@ class CuttingHeat:
         self.finish()
         self.cutting_J += cutting_J
         self._lost[:] = self._lost_fraction(*cut)
-        self._aim(self._share * cutting_J / duration_s, motion)
-        self._deposit()
+        self._power_W = self._share * cutting_J / duration_s
+        self._earlier, self._later = self._later, self._engaged.cutting(motion)
+        self._tip_m = motion.tip_m.copy()
+        self._deposit(*(self._earlier if len(self._earlier[0]) else self._later), self._tip_m)
         self._steps, self._done = self.field.plan(duration_s), 0
 
     def go_to(self, share: float) -> None:
@@ -144,42 +152,42 @@ class CuttingHeat:
         corners = store.grid.origin_m + size * voxels
         return self.grid.share_out(corners, size, lost * (size**3 / FULL)) / self._volume_m3
 
-    def _aim(self, power_W: float, motion: ToolMotion) -> None:
-        """Find where on the tooth the bur cuts, and share the power out among these places."""
-        self._points_m, self._normals, weights = self._engaged.cutting(motion)
-        total = weights.sum()
-        self._watts = weights * (power_W / total) if total > 0.0 else np.zeros(0)
-        if total == 0.0 and power_W > 0.0:  # it has left the tooth since the last cut: into the cell next to it
-            self._points_m, self._normals = motion.tip_m[None].copy(), -motion.rotation[None, :, 2]
-            self._watts = np.array([power_W])
+    def _deposit(self, points_m: Array, normals: Array, weights: Array, tip_m: Array) -> None:
+        """Put the power into the cells at the surface, and note how much warmer than its cell the surface is.
 
-    def _deposit(self) -> None:
-        """Put the power into the cells at the surface, and note how much warmer than its cell the surface is."""
+        Parameters
+        ----------
+        points_m, normals, weights
+            Where the bur cuts [m], its normals out of the bur, and the relative powers there.
+        tip_m
+            Tip of a bur that has left the tooth since the last cut: the heat goes into the cell next to it [m].
+        """
         power, warmer, filled = self._power, self._warmer_K, self.field.filled.reshape(-1)
         power[:] = 0.0
         warmer[:] = 0.0
-        if len(self._watts):
+        if self._power_W > 0.0 and len(points_m) == 0:
+            power[self._nearest(tip_m)] = self._power_W
+        elif self._power_W > 0.0:
             depths = 0.5 * self._cell_m * np.arange(DEPTHS)
-            candidates = np.stack([self.grid.cells_at(self._points_m + depth * self._normals) for depth in depths])
+            candidates = np.stack([self.grid.cells_at(points_m + depth * normals) for depth in depths])
             fills = filled[candidates]
-            first = np.where((fills >= RECEIVES).any(axis=0), (fills >= RECEIVES).argmax(axis=0), fills.argmax(axis=0))
-            at = np.arange(len(self._watts))
-            cells = candidates[first, at]
-            empty = filled[cells] <= 0.0
-            if empty.any():
-                cells[empty] = [self._nearest(point) for point in self._points_m[empty]]
-            power += np.bincount(cells, self._watts, minlength=len(power))
+            is_full = fills >= RECEIVES
+            first = np.where(is_full.any(axis=0), is_full.argmax(axis=0), fills.argmax(axis=0))
+            cells = candidates[first, np.arange(len(points_m))]
+            for at in np.flatnonzero(filled[cells] <= 0.0):
+                cells[at] = self._nearest(points_m[at])
+            power += np.bincount(cells, weights * (self._power_W / weights.sum()), minlength=len(power))
             # Half the temperature difference across the material of the cell, for a flux that passes all of it.
             warmer[cells] = 0.5 * power[cells] * filled[cells] / (self._conductivity[cells] * self._cell_m)
             np.maximum.at(warmer, candidates[0], warmer[cells])
         self.field.heat(power)
 
     def _remove(self) -> None:
-        """Take what was cut out of the cells, and put the heat into what is left."""
+        """Take what was cut out of the cells; from now on the heat comes in where the bur is at the end."""
         cells = np.flatnonzero(self._lost)
         if len(cells):
             self.field.remove(cells, self._lost[cells], self._warmer_K[cells])
-            self._deposit()
+        self._deposit(*(self._later if len(self._later[0]) else self._earlier), self._tip_m)
 
     def _nearest(self, point_m: Array) -> int:
         """Return the filled cell nearest to a point, flat index."""

@@ -10,10 +10,13 @@ from tissue.materials.scene_constants import Materials
 
 __all__ = ["HeatGrid"]
 
-GROWTH = (1, 1, 2, 2, 3, 4, 5, 6)
+GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
 """Voxels that the cells outside the fine part are wide, from there outward; the last goes on."""
 LEAST_FILLED = 0.02
 """Cells with less material are left out: they hold no heat worth mentioning."""
+
+SAME_FACE = 1e-6
+"""Places this close to each other are the same face of a voxel [voxel]: far from the origin they are rounded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +112,28 @@ class HeatGrid:
             found.append(np.ascontiguousarray(np.moveaxis(along, 0, axis)))
         return tuple(found)
 
+    def pulp_wall(self) -> tuple[Array, Array, Array]:
+        """Faces between the pulp and the material around it.
+
+        Returns
+        -------
+        Flat indices of the cells on the side of the pulp and on the other side, and the weight of the first cell in the
+        temperature of the face, where the flux from one half cell is that into the other.
+        """
+        inner, outer, weights = [], [], []
+        index = np.arange(self.filled.size).reshape(self.filled.shape)
+        for axis, width in enumerate(self.widths_m):
+            d = width.reshape([-1 if at == axis else 1 for at in range(3)])
+            half = np.moveaxis(self.conductivity_W_mK / d, axis, 0)
+            at, held, pulp = (np.moveaxis(each, axis, 0) for each in (index, self.filled > 0.0, self.pulp))
+            both = held[1:] & held[:-1]
+            for one, other in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
+                face = both & pulp[one] & ~pulp[other]
+                inner.append(at[one][face])
+                outer.append(at[other][face])
+                weights.append(half[one][face] / (half[one][face] + half[other][face]))
+        return np.concatenate(inner), np.concatenate(outer), np.concatenate(weights)
+
     def cells_at(self, points_m: Array) -> Array:
         """Flat indices of the cells that hold points, shape (n, 3); the nearest cell for a point outside."""
         at = [
@@ -157,8 +182,8 @@ def _index(names: tuple[str, ...], name: str) -> int:
 
 def _starts(count: int, low: float, high: float) -> Array:
     """First voxel of each cell along an axis, for a fine part from ``low`` to ``high`` [voxel]."""
-    first = int(np.clip(np.floor(low), 0, count - 1))
-    last = int(np.clip(np.ceil(high), first + 1, count))
+    first = int(np.clip(np.floor(low + SAME_FACE), 0, count - 1))
+    last = int(np.clip(np.ceil(high - SAME_FACE), first + 1, count))
     below, above = _outward(first), _outward(count - last)
     return np.concatenate([first - np.cumsum(below)[::-1], np.arange(first, last), last + np.cumsum(above) - above])
 
