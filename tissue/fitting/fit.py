@@ -31,8 +31,9 @@ PROBLEMS = {
 FITTED = "fit a scene of bone, a tooth or an organ"
 NUISANCES = ("density.", organ_constants.KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
-FAR = 3.0
-"""Standard deviations of a prior beyond which a value contradicts it: 0.3 % of constants lie there by chance."""
+FAR, FAR_TIMES = 3.0, 10.0
+"""Standard deviations of a prior beyond which a value contradicts it (0.3 % of constants lie there by chance), and the
+ratio to the end of its range from which it does so in any case: some priors have a heavy tail towards zero."""
 VISIBLE = 20.0
 """Force over the noise's scale from which noise is not why a log determines nothing."""
 
@@ -70,7 +71,8 @@ class ConstantFit:
     @property
     def is_far(self) -> bool:
         """Whether the value lies far outside the cited range."""
-        return abs(self.z[1]) > FAR
+        is_outside = self.value > FAR_TIMES * self.prior.high > 0.0 or self.value < self.prior.low / FAR_TIMES
+        return abs(self.z[1]) > FAR or is_outside
 
 
 @dataclass(frozen=True, eq=False)

@@ -130,7 +130,7 @@ def _checked(path: Path, taken: dict[str, Array], found: LogColumns, notes: list
         if (greatest := float(np.nanmax(np.abs(values), initial=0.0))) >= most:
             raise InputError(
                 f"measured must hold loads below {most:g} in {name}, got {greatest:.3g} in {path.name}: give its unit, "
-                f"--column {name}=COLUMN:mN for example"
+                f"--column {name}=COLUMN:{'mN' if name.endswith('_N') else 'mNm'} for example"
             )
     loads, remarks = without_saturation(loads, channels)
     notes += remarks + pose_notes(times_s, tips_m, float(np.median(np.diff(load_times_s))))

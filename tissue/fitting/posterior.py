@@ -22,8 +22,9 @@ from tissue.materials.prior import Prior
 
 __all__ = ["Posterior", "climbed", "maximum_posterior", "starts"]
 
-OFFSETS_S = np.linspace(-3.0 * OFFSET_S, 3.0 * OFFSET_S, 25)
-"""Offsets from which the search begins [s]: a force may rise at several times, so that there are several maxima."""
+OFFSETS_S = OFFSET_S * np.concatenate([np.arange(-10.0, -3.0), np.linspace(-3.0, 3.0, 25), np.arange(4.0, 11.0)])
+"""Offsets from which the search begins [s]: a force may rise at several times, so that there are several maxima. Those
+beyond three standard deviations of the prior find clocks that contradict it."""
 STARTS = 2
 NEARBY, REFINED = np.linspace(-2.5, 2.5, 101), 3
 """Offsets about a maximum at which a higher one is looked for, in samples of the log, and how often."""

@@ -1,0 +1,96 @@
+"""Numbers with underscores and columns that are there twice are refused by every reader of text."""
+
+import numpy as np
+import pytest
+
+from meshes.base.errors import InputError
+from meshes.base.text_numbers import number_in, require_distinct_columns, whole_number_in
+from meshes.images.itk import numbers
+from meshes.paths.toolpath import read_toolpath
+from meshes.surfaces.markups import read_markups
+from meshes.surfaces.surface import read_surface
+from tissue.fitting.log import read_log
+from tissue.motion.replay import read_replay
+from tissue.simulation.trace_files import read_table
+
+POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw"
+LOG = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,force_x_N,force_y_N,force_z_N"
+
+
+def replayed(path):
+    return np.array(read_replay(path, step_s=1e-3).duration_s)
+
+
+def logged(path):
+    return read_log(path).loads
+
+
+def tabled(path):
+    return read_table(path, ()).rows
+
+
+def travelled(path):
+    return read_toolpath(path, "LPS").points_mm
+
+
+def rows_of(header):
+    """Sixty rows of a table: the time, then the place of each column; the last one is a unit quaternion's or a force."""
+    count = header.count(",")
+    return [[f"{0.01 * row:.2f}", *["0"] * (count - 1), "1"] for row in range(60)]
+
+
+TABLES = {
+    "poses": (replayed, POSES),
+    "log": (logged, LOG),
+    "trace": (tabled, LOG),
+    "path": (travelled, "x_mm,y_mm,z_mm"),
+}
+
+
+def written(path, header, rows):
+    path.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n", "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_a_table_with_a_column_twice_is_refused(tmp_path, kind):
+    read, header = TABLES[kind]
+    assert np.isfinite(read(written(tmp_path / "whole.csv", header, rows_of(header)))).all()
+    last = header.rpartition(",")[2]
+    rows = [[*row, "5"] for row in rows_of(header)]
+    with pytest.raises(InputError, match=last):
+        read(written(tmp_path / "twice.csv", f"{header},{last}", rows))
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_a_number_with_an_underscore_is_refused(tmp_path, kind):
+    read, header = TABLES[kind]
+    rows = rows_of(header)
+    rows[7][-1] = "1_0"
+    with pytest.raises(InputError, match="1_0"):
+        read(written(tmp_path / "log.csv", header, rows))
+
+
+def test_headers_meshes_and_markups_are_read_alike(tmp_path):
+    with pytest.raises(InputError, match="1_0"):
+        numbers({"spacing": "1 1_0 1"}, "spacing", tmp_path / "image.mha")
+    for line in ("v 0 0 1_0\n", "v 0 0 1\nv 1 0 0\nv 0 1 0\nf 1 2 0_3\n"):
+        (tmp_path / "bone.obj").write_text(line, "utf-8")
+        with pytest.raises(InputError, match="_"):
+            read_surface(tmp_path / "bone.obj", scale_mm=1.0)
+    head = "# CoordinateSystem = LPS\n# columns = id,x,y,z,label\n"
+    (tmp_path / "points.fcsv").write_text(f"{head}a,1,2_0,3,tip\n", "utf-8")
+    with pytest.raises(InputError, match="tip"):
+        read_markups(tmp_path / "points.fcsv")
+
+
+def test_numbers_and_names():
+    assert number_in(" 1.5e3 ") == 1500.0 and whole_number_in("12") == 12
+    for text in ("1_0", "1_000.0", "_1"):
+        with pytest.raises(ValueError, match="_"):
+            number_in(text)
+        with pytest.raises(ValueError, match="_"):
+            whole_number_in(text)
+    require_distinct_columns(["a", "b"], "path", "log.csv")
+    with pytest.raises(InputError, match=r"path has two columns named b in log\.csv"):
+        require_distinct_columns(["a", "b", "b"], "path", "log.csv")
