@@ -6,6 +6,7 @@ late answer ends that, because no frame states what it answers: zero is sent, an
 have come as were asked for, or are given up.
 """
 
+import socket
 import threading
 from contextlib import ExitStack, suppress
 from time import perf_counter, sleep
@@ -18,6 +19,7 @@ from tissue.hardware.haply_frames import ServiceState, force_frame, opening_fram
 from tissue.hardware.haply_service import asked_version, problem_of, service_address
 from tissue.hardware.state_order import StateOrder
 from tissue.motion.quaternion import Triple
+from tissue.system.timeout import returned_within
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -174,11 +176,13 @@ class HaplyLink:
         self._wake.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join(0.15)
+        zero = force_frame(self.state.device_id, NO_FORCE, self._spelling)
+        is_read = self._thread is None
         if self._thread is not None and self._sending.acquire(timeout=0.05):
-            with suppress(Exception):  # on a busy machine the thread may not have come to it
-                self._open_socket.send(force_frame(self.state.device_id, NO_FORCE, self._spelling))
+            # On a busy machine the thread may not have come to it; a service that reads no more would block it.
+            is_read = returned_within(0.1, lambda: self._open_socket.send(zero))
             self._sending.release()
-        self._disconnect()
+        self._disconnect(cut=not is_read)
 
     def _run(self) -> None:
         """Exchange frames until the end, and reach a service that was restarted."""
@@ -281,8 +285,13 @@ class HaplyLink:
         if len(self.events) < MOST_EVENTS:
             self.events.append(what)
 
-    def _disconnect(self) -> None:
-        stack, self._stack, self._socket = self._stack, ExitStack(), None
+    def _disconnect(self, *, cut: bool = False) -> None:
+        """Close the connection; cut it first if a frame waits for a service that reads no more."""
+        stack, link = self._stack, self._socket
+        self._stack, self._socket = ExitStack(), None
+        if cut and link is not None:
+            with suppress(OSError):
+                link.socket.shutdown(socket.SHUT_RDWR)
         with suppress(OSError):
             stack.close()
 

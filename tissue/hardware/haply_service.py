@@ -6,12 +6,15 @@ from urllib.parse import urlsplit
 
 from meshes.base.errors import InputError
 from tissue.hardware.haply_frames import ServiceState, version_in
+from tissue.system.timeout import returned_within
 
 __all__ = ["asked_version", "problem_of", "service_address"]
 
 USUAL = "ws://localhost:10001"
-ANSWER_S = 0.5
-"""How long the service may take to state its version [s]."""
+ANSWER_S, STATED_S = 0.5, 2.0
+"""How long the service may be silent before it states its version, and how long that may take in all [s]."""
+LONGEST = 65_536
+"""Bytes that are read of what states the version."""
 
 
 def service_address(address: str) -> tuple[str, str, int, str]:
@@ -52,15 +55,22 @@ def problem_of(state: ServiceState) -> str:
 
 
 def asked_version(host: str, port: int) -> tuple[int, int] | None:
-    """The service's version, as it states it at the same port by HTTP; None where it does not."""
+    """Return the service's version, as it states it at the same port by HTTP; None where it does not in time."""
+    found: list[tuple[int, int]] = []
+    returned_within(STATED_S, lambda: found.extend(_versions(host, port)))
+    return found[0] if found else None
+
+
+def _versions(host: str, port: int) -> list[tuple[int, int]]:
+    """Return the versions that are stated at the usual paths, at most one."""
     for path in ("/version", "/3.1/version"):
         with suppress(OSError, HTTPException):
             connection = HTTPConnection(host, port, timeout=ANSWER_S)
             try:
                 connection.request("GET", path)
                 answer = connection.getresponse()
-                if answer.status == 200 and (found := version_in(answer.read())) is not None:
-                    return found
+                if answer.status == 200 and (found := version_in(answer.read(LONGEST))) is not None:
+                    return [found]
             finally:
                 connection.close()
-    return None
+    return []

@@ -18,8 +18,13 @@ __all__ = ["WebTransport"]
 OPEN_S = 5.0
 """How long the thread may take to listen, and to end [s]."""
 LONGEST_MESSAGE = 4096
-CLOSE_S = 0.5
-"""How long a device may take to end its connection [s]."""
+CLOSE_S = 0.2
+"""How long a device may take to take its last packets, to end its connection, and to be cut off [s]. The three together
+stay under the second after which a run gives up a device that does not close."""
+SEND_S = 0.25
+"""How long a device may take no packets before its connection is ended [s]."""
+HANDSHAKE_S = 2.0
+"""How long a connection may take to become a WebSocket [s]."""
 MOST_WAITING = 2
 """Packets that wait for the thread; a wrench more takes the place of the oldest. Zero and goodbye both wait."""
 
@@ -52,6 +57,7 @@ class WebTransport:
             ) from None
         self._session, self._waiting = session, deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)
         self._connections: dict[Hashable, ServerConnection] = {}
+        self._lines: dict[ServerConnection, asyncio.BaseTransport] = {}  # also those that are no WebSocket yet
         self._ready, self._failed = threading.Event(), list[OSError]()
         self.address = f"ws://{host}:{port}"
         self._loop = asyncio.new_event_loop()
@@ -92,10 +98,25 @@ class WebTransport:
             self._loop.close()
 
     async def _serve(self, host: str, port: int) -> None:
-        from websockets.asyncio.server import serve
+        from websockets.asyncio.server import ServerConnection, serve
+
+        lines = self._lines
+
+        class Line(ServerConnection):
+            """A connection that is known from its first byte on, so that it can be ended before it is a WebSocket."""
+
+            def connection_made(self, transport: asyncio.BaseTransport) -> None:
+                """Note the connection."""
+                super().connection_made(transport)
+                lines[self] = transport
+
+            def connection_lost(self, exc: Exception | None) -> None:
+                """Forget the connection."""
+                lines.pop(self, None)
+                super().connection_lost(exc)
 
         server = await serve(
-            self._talk, host.strip("[]"), port,
+            self._talk, host.strip("[]"), port, create_connection=Line, open_timeout=HANDSHAKE_S,
             origins=[None], max_size=LONGEST_MESSAGE, compression=None, ping_interval=None, close_timeout=CLOSE_S,
         )  # fmt: skip
         self._listening(server, host)
@@ -105,13 +126,14 @@ class WebTransport:
         with suppress(TimeoutError):  # of a device that no longer reads
             async with asyncio.timeout(CLOSE_S):
                 await self._send_waiting()
+        for connection, line in list(lines.items()):
+            if connection not in self._connections.values():
+                _abort(line)
         server.close()
-        talks = {sending, *asyncio.all_tasks()} - {asyncio.current_task()}
-        _, left = await asyncio.wait(talks, timeout=2.0 * CLOSE_S)
-        for connection in list(self._connections.values()):
-            connection.transport.abort()
-        if left:
-            await asyncio.wait(left, timeout=CLOSE_S)
+        await _ended_within(CLOSE_S)
+        for line in list(lines.values()):
+            _abort(line)
+        await _ended_within(CLOSE_S)
 
     def _listening(self, server: "Server", host: str) -> None:
         self.address = f"ws://{host}:{next(iter(server.sockets)).getsockname()[1]}"
@@ -145,5 +167,23 @@ class WebTransport:
         while self._waiting:
             peer, data = self._waiting.popleft()
             if (connection := self._connections.get(peer)) is not None:
-                with suppress(ConnectionClosed):
-                    await connection.send(data)
+                try:
+                    async with asyncio.timeout(SEND_S):
+                        await connection.send(data)
+                except TimeoutError:  # nobody reads there any more, and others must not wait for it
+                    _abort(connection.transport)
+                except ConnectionClosed:
+                    pass
+
+
+def _abort(line: asyncio.BaseTransport) -> None:
+    """End a connection at once, whatever waits to be sent."""
+    if isinstance(line, asyncio.WriteTransport):
+        line.abort()
+
+
+async def _ended_within(seconds: float) -> None:
+    """Wait until all other tasks of the thread have ended, or for some seconds."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    if others:
+        await asyncio.wait(others, timeout=seconds)

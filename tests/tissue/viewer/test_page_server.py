@@ -14,7 +14,7 @@ import psutil
 
 from tissue.viewer.web import server as served
 from tissue.viewer.web.gate import HOST, new_token, refusal
-from tissue.viewer.web.messages import LARGEST, MessageError, parse
+from tissue.viewer.web.messages import LARGEST, MessageError, Pace, parse
 from tissue.viewer.web.server import PageServer, page_text
 
 HOME = {
@@ -214,6 +214,105 @@ def test_a_message_that_no_page_sends_closes_the_socket_and_does_nothing():
 
     for sent, code in (("{", 1008), (b"x", 1008), ('{"do": "wipe"}', 1008), ("x" * (LARGEST + 1), 1009)):
         assert asyncio.run(ask(sent)) == (code, [])
+
+
+HOSTILE = {
+    "a number of 400 digits": '{"do": "zoom", "by": 1' + 400 * "0" + "}",
+    "a negative one": '{"do": "turn", "right": -1' + 400 * "0" + ', "up": 0}',
+    "an exponent": '{"do": "time", "time_s": 1e400}',
+    "a lone surrogate": r'{"do": "\ud800"}',
+    "a surrogate pair": r'{"do": "\ud83d\ude00"}',
+    "long words": json.dumps({"do": "\U0001f600" * 60}, ensure_ascii=False),
+    "long control characters": json.dumps({"do": "\x00" * 100}),
+}
+
+
+@pytest.mark.parametrize("hostile", HOSTILE)
+def test_hostile_messages_close_the_socket_with_a_reason_and_the_next_page_is_served(hostile, caplog):
+    async def ask():
+        session = Counted()
+        async with serving(session) as (address, client):
+            home, _, ws = parts(address)
+            async with client.ws_connect(ws, headers={"Origin": home}) as page_socket:
+                await page_socket.send_str(HOSTILE[hostile])
+                message = await page_socket.receive()
+                while message.type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY):
+                    message = await page_socket.receive()
+            async with client.ws_connect(ws, headers={"Origin": home}) as page_socket:
+                hello = await page_socket.receive_json()
+                await page_socket.send_json({"do": "zoom", "by": 2})
+                await until(lambda: session.taken)
+        return message, hello, session.taken
+
+    message, hello, taken = asyncio.run(ask())
+    assert (message.type, message.data) == (aiohttp.WSMsgType.CLOSE, 1008)
+    assert message.extra.isascii() and 10 < len(message.extra) <= 123
+    assert hello == {"hello": {"scene": "wall"}} and taken == [("zoom", {"by": 2})]
+    assert not caplog.records  # an exception of a handler is logged
+
+
+def test_a_flood_of_messages_is_read_at_a_bounded_rate_while_frames_go_on():
+    """20,000 messages at once: in half a second 200 and 400 a second of them, while figures still come."""
+
+    async def ask():
+        session = Counted()
+        async with serving(session) as (address, client):
+            home, _, ws = parts(address)
+            async with client.ws_connect(ws, headers={"Origin": home}) as page_socket:
+                await page_socket.receive_json()
+                loop = asyncio.get_running_loop()
+
+                async def flood():
+                    for _ in range(20_000):
+                        await page_socket.send_str('{"do": "move", "right": 0.1, "up": 0}')
+
+                flooding = asyncio.ensure_future(flood())
+                began, frames = loop.time(), session.count
+                await asyncio.sleep(0.5)
+                took, taken, frames = loop.time() - began, len(session.taken), session.count - frames
+                flooding.cancel()
+                page_socket._response.connection.transport.abort()
+                await until(lambda: session.attended == [True, False])
+        return took, taken, frames
+
+    took, taken, frames = asyncio.run(ask())
+    assert 100 <= taken <= 201 + 400 * took
+    assert frames >= 2
+
+
+@pytest.mark.parametrize("rate_Hz", [60.0, 250.0])
+def test_the_pace_of_a_person_is_never_held_back(rate_Hz):
+    pace = Pace()
+    assert not any(pace.wait_s(100.0 + count / rate_Hz) for count in range(2000))
+
+
+def test_a_page_that_reads_no_more_is_cut_off_and_the_frames_go_on(monkeypatch):
+    """A half-open connection: the page sends and reads nothing, and its buffers are full."""
+    monkeypatch.setattr(served, "SENDS_S", 0.2)
+
+    class Large(Counted):
+        def frame(self, drawing):
+            self.count += 1
+            return {"count": self.count, "much": 4_000_000 * "x"}, None
+
+    async def ask():
+        session = Large()
+        async with serving(session) as (address, _):
+            home, _, ws = parts(address)
+            host, port = home.removeprefix("http://").split(":")
+            _reader, writer = await asyncio.open_connection(host, int(port), limit=1024)
+            writer.write(
+                f"GET {ws.split(port)[1]} HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: {home}\r\nUpgrade: websocket\r\n"
+                "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+                "Sec-WebSocket-Version: 13\r\n\r\n".encode()
+            )
+            await asyncio.wait_for(until(lambda: len(session.attended) == 2), 20.0)
+            count = session.count
+            await asyncio.wait_for(until(lambda: session.count > count + 3), 20.0)
+            writer.transport.abort()
+        return session.attended
+
+    assert asyncio.run(ask()) == [True, False]
 
 
 def test_a_newer_page_takes_the_place_of_the_older():

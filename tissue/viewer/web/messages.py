@@ -1,12 +1,16 @@
 """What a page may ask for: one JSON object a message, with ``do`` and the entries that belong to it."""
 
 import json
-import math
 
-__all__ = ["LARGEST", "MessageError", "Values", "parse"]
+__all__ = ["LARGEST", "MessageError", "Pace", "Values", "close_reason", "parse"]
 
 LARGEST = 1024
 """Longest message [byte]."""
+MOST_PER_S, AT_ONCE = 400.0, 200.0
+"""Messages that are read in a second, and at once after a pause: a page sends one for each move of the mouse and each
+picture, some 150 a second."""
+LONGEST_REASON = 123
+"""Longest reason of a closed WebSocket, by RFC 6455 [byte]."""
 Values = dict[str, float | bool | str]
 Number = tuple[float, float]
 
@@ -48,15 +52,36 @@ def parse(text: str) -> tuple[str, Values]:
     kinds: dict[str, type] = dict.fromkeys(ranges, float)
     kinds |= {"name": str} if do in WORDS else {"on": bool} if do in SWITCHES else {}
     if (not kinds and do not in ALONE) or set(found) != set(kinds):
-        raise MessageError(f"{do[:40]} must be a known message with its entries alone")
+        raise MessageError(f"{do[:40]!a} must be a known message with its entries alone")
     for name, kind in kinds.items():
         value = found[name]
         if kind is float:
             low, high = ranges[name]
-            fits = isinstance(value, (int, float)) and not isinstance(value, bool)
-            fits = fits and math.isfinite(value) and low <= value <= high
+            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            fits = is_number and low <= value <= high  # an integer may be too large for a float; NaN is in no range
         else:
             fits = isinstance(value, kind)
         if not fits:
             raise MessageError(f"{name} of {do} must be in its range")
     return do, found
+
+
+def close_reason(text: str) -> bytes:
+    """Return a text as the reason of a closed WebSocket: ASCII, and no longer than it may be."""
+    return text.encode("ascii", "backslashreplace")[:LONGEST_REASON]
+
+
+class Pace:
+    """Bound the messages that are read: `MOST_PER_S` a second, and `AT_ONCE` after a pause.
+
+    What a page sends beyond that waits in its own buffers.
+    """
+
+    def __init__(self) -> None:
+        self._left, self._time_s = AT_ONCE, 0.0
+
+    def wait_s(self, time_s: float) -> float:
+        """Count a message that came at a time [s]; return how long to wait before the next one is read [s]."""
+        self._left = min(self._left + MOST_PER_S * (time_s - self._time_s), AT_ONCE) - 1.0
+        self._time_s = time_s
+        return max(-self._left, 0.0) / MOST_PER_S

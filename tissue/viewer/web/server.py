@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from tissue.viewer.web.gate import HOST, SOCKET, gate, new_token
-from tissue.viewer.web.messages import LARGEST, MessageError, Values, parse
+from tissue.viewer.web.messages import LARGEST, MessageError, Pace, Values, close_reason, parse
 
 __all__ = ["PageServer", "Session", "page_text"]
 
@@ -19,6 +19,8 @@ FRAME_S, REST_S = 1.0 / 30.0, 0.004
 """Time between two frames, and how long there is at least for what the page sends [s]."""
 LEFT_S = 8.0
 """How long a page may be closed before what it shows ends [s]: time enough to load it again."""
+SENDS_S = 5.0
+"""How long a page may take no figures or picture before its connection is ended [s]."""
 CLOSES_S = 2.0
 """How long a page is waited for that is closed from here [s]."""
 REPLACED = 4001
@@ -82,6 +84,7 @@ class PageServer:
         self._session, self._token = session, token or new_token()
         self._port, self.address = 0, ""
         self._socket: web.WebSocketResponse | None = None
+        self._line: asyncio.Transport | None = None
         self._drawing, self._left_s, self._opened = True, 0.0, False
 
     async def serve(self, opened: Callable[[str], object], *, port: int = 0) -> None:
@@ -100,7 +103,7 @@ class PageServer:
             await self._run()
         finally:
             if self._socket is not None:
-                await self._socket.close(code=WSCloseCode.OK, message=b"over")
+                await _close(self._socket, self._line, WSCloseCode.OK, "over")
             await runner.cleanup()
 
     async def _run(self) -> None:
@@ -114,13 +117,16 @@ class PageServer:
             figures, picture = session.frame(socket is not None and self._drawing)
             if socket is not None and not socket.closed:
                 try:
-                    if figures is not None:
-                        await socket.send_str(json.dumps(figures))
-                    if picture is not None:
-                        self._drawing = False
-                        await socket.send_bytes(picture)
+                    async with asyncio.timeout(SENDS_S):
+                        if figures is not None:
+                            await socket.send_str(json.dumps(figures))
+                        if picture is not None:
+                            self._drawing = False
+                            await socket.send_bytes(picture)
                 except ConnectionError:
                     pass  # its own loop finds it closed
+                except TimeoutError:
+                    _cut(self._line)
             await asyncio.sleep(max(FRAME_S - (loop.time() - began), REST_S))
 
     async def _page(self, request: web.Request) -> web.Response:
@@ -133,11 +139,12 @@ class PageServer:
         # No heartbeat: on one machine the system reports a page that is gone, and a picture may take seconds to draw.
         socket = web.WebSocketResponse(timeout=CLOSES_S, max_msg_size=LARGEST)
         await socket.prepare(request)
-        before, self._socket = self._socket, socket
+        before, its_line = self._socket, self._line
+        self._socket, self._line = socket, request.transport
         self._drawing = self._opened = True
         if before is not None:
-            await before.close(code=REPLACED, message=b"another page shows it now")
-        session = self._session
+            await _close(before, its_line, REPLACED, "another page shows it now")
+        session, pace, loop = self._session, Pace(), asyncio.get_running_loop()
         await socket.send_str(json.dumps({"hello": session.hello()}))
         session.attend(True)
         try:
@@ -149,13 +156,31 @@ class PageServer:
                     self._drawing = True
                 else:
                     session.take(do, values)
+                await asyncio.sleep(pace.wait_s(loop.time()))
+                if request.transport is None or request.transport.is_closing():
+                    break  # the page is gone, and what it has sent before counts no more
         except MessageError as error:
-            await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=str(error).encode())
+            await _close(socket, request.transport, WSCloseCode.POLICY_VIOLATION, str(error))
         finally:
             if self._socket is socket:
-                self._socket, self._left_s = None, asyncio.get_running_loop().time()
+                self._socket, self._left_s = None, loop.time()
                 session.attend(False)
         return socket
+
+
+async def _close(socket: web.WebSocketResponse, line: asyncio.Transport | None, code: int, reason: str) -> None:
+    """Close a page's socket with a code and a reason; cut the connection if the page reads no more."""
+    try:
+        async with asyncio.timeout(CLOSES_S):
+            await socket.close(code=code, message=close_reason(reason))
+    except TimeoutError:
+        _cut(line)
+
+
+def _cut(line: asyncio.Transport | None) -> None:
+    """End a connection at once, whatever waits to be sent."""
+    if line is not None:
+        line.abort()
 
 
 def page_text(kind: str, nonce: str) -> str:
