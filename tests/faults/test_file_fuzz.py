@@ -15,7 +15,7 @@ QUICK |= {"log": 3, "log apart": 0, "toolpath": 3}
 """Damaged files from each whole one, by reader; one that parses in a process of its own takes most of a second, and goes
 to the slow set."""
 FIRST_SEED = int(os.environ.get("TISSUE_FUZZ_SEED", "0"))
-"""Of the damage: set the variable to damage the files in other ways."""
+"""Of the damage: set the variable for other damage."""
 SLOW = {reader: 14 if reader.endswith(" apart") else 18 * count for reader, count in QUICK.items()}
 
 
