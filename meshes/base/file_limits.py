@@ -6,9 +6,9 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from io import BytesIO
 from math import prod
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ __all__ = ["memory_limit", "memory_limit_bytes", "read_npz", "require_memory", "
 _GB = 1e9
 _FREE_SHARE = 0.5
 _limit_GB: ContextVar[float | None] = ContextVar("max_memory_GB", default=None)
+_LONGEST_HEADER = 1 << 16
 _CGROUP = Path("/sys/fs/cgroup")
 
 
@@ -107,15 +108,16 @@ def read_npz(path: Path) -> dict[str, NDArray[np.generic]]:
         require_memory(sum(entry.file_size for entry in entries), path.name, f"{len(entries)} arrays")
         for entry in entries:
             with archive.open(entry) as stream:
-                stated = _npy_bytes(stream)
-                if stated != entry.file_size - stream.tell():
+                stated = _npy_bytes(stream.read(_LONGEST_HEADER))
+                if stated != entry.file_size:
                     raise ValueError(f"{entry.filename} states {stated} bytes and holds another number")
     with np.load(path, allow_pickle=False) as stored:
         return {name: stored[name] for name in (entry.filename.removesuffix(".npy") for entry in entries)}
 
 
-def _npy_bytes(stream: IO[bytes]) -> int:
-    """Read the header of an array, and return the bytes that its data must have."""
+def _npy_bytes(first: bytes) -> int:
+    """Return the bytes of a file of one array by its header, which `first` begins with."""
+    stream = BytesIO(first)
     version = np.lib.format.read_magic(stream)
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
@@ -123,7 +125,7 @@ def _npy_bytes(stream: IO[bytes]) -> int:
         shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
     if dtype.hasobject:
         raise ValueError("an array of objects")
-    return prod(shape) * dtype.itemsize
+    return len(first) - len(stream.read()) + prod(shape) * dtype.itemsize
 
 
 def _free_bytes() -> int:

@@ -15,7 +15,7 @@ AIR_HU, SOFT_HU = (-1100, -900), (-150, 150)
 METAL_HU = 3000
 """Above it lies no tissue: enamel, the densest, reaches about 2800 HU at 120 kV (M)."""
 _COARSE_MM = 5.0
-"""Distance of slices from which a person is told that they are coarse."""
+"""Distance of slices from which they are reported as coarse."""
 _LEAST_METAL = 8
 """Voxels: fewer are noise."""
 _LEAST_SHARE = 1e-3

@@ -26,6 +26,7 @@ _FARTHEST = 1e100
 _SMALLEST_MM, _LARGEST_MM = 1.0, 1000.0
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
 _CENTIMETRES = (6.0, 60.0)
+_INCH_MM = 25.4
 _TYPICAL_BONE_MM = 140.0
 
 
@@ -240,7 +241,10 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
         if lowest <= longest <= highest:
             guess = f"{name}, since the longest side {longest:.3g} would be {longest * scale:.3g} mm"
             if name == "millimetres" and _CENTIMETRES[0] <= longest <= _CENTIMETRES[1]:
-                guess += f" (in centimetres it would be {10 * longest:.3g} mm: set anatomy.scale_mm to be sure)"
+                others = f"in centimetres it would be {10 * longest:.3g} mm"
+                if _INCH_MM * longest <= highest:
+                    others += f", in inches {_INCH_MM * longest:.3g} mm"
+                guess += f" ({others}: set anatomy.scale_mm to be sure)"
             return scale, guess
     raise InputError(
         f"anatomy.scale_mm must be given where the unit is not plain, got none for {source}, whose "

@@ -8,20 +8,34 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.tooth.layers import LAYER_DENSITY_KG_M3, PULP
+from meshes.tooth.layers import DENTIN, ENAMEL, LAYER_DENSITY_KG_M3, PULP
 from meshes.voxels.volume import FULL, VoxelVolume
 
 __all__ = ["PulpCavity", "with_pulp"]
 
 _WIDEST_OPENING_M = 0.8e-3
+"""Diameter of the widest opening of a pulp cavity: the major foramina of molars and premolars are about 0.4 to
+0.7 mm wide (Green 1960, Oral Surg 13:728)."""
+_LARGEST_MOUTH_M2 = 1.0e-6
+"""A round opening of 0.8 mm has 0.5 mm2; its staircase of voxels has up to twice as much."""
+_CROWN_LEAK_M2 = 0.05e-6
+"""Five faces of voxels: what a segmentation leaks."""
+_VOLUME_M3 = (1e-9, 200e-9)
+"""Mean volumes are 6 mm3 (lower incisors) to 68 mm3 (upper first molars; Fanibunda 1986, Int Endod J 19:194). Old pulps
+are several times smaller, those of teeth with open roots several times larger."""
+_LEAST_DENTIN = 0.5
+"""Share of the wall that is dentin: the rest may be caries, and enamel where a crown is worn."""
+_ENAMEL_PERCENT = 2.0
+"""Part of the enamel that may lie below the neck of the tooth, such as pieces that were mislabelled."""
 
 
 @dataclass(frozen=True, eq=False)
 class PulpCavity:
-    """The largest cavity of a whole tooth that a ball wider than 0.8 mm cannot enter from outside.
+    """The void in the dentin of a whole tooth that can be its pulp.
 
-    Such a ball passes no root canal's mouth, and stays out of the narrow clefts between roots, which are apart from the
-    chamber.
+    A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed but for apical foramina: no
+    ball wider than 0.8 mm enters it, and its openings lie in the roots and are at most 1 mm2 each. Fissures and grooves
+    open into the mouth along their length, clefts between roots along theirs.
 
     Attributes
     ----------
@@ -39,23 +53,33 @@ class PulpCavity:
 
     @classmethod
     def of(cls, tooth: VoxelVolume) -> PulpCavity | None:
-        """Find the cavity of a whole tooth; None where there is none."""
-        from scipy.ndimage import distance_transform_edt, label
+        """Find the cavity of a whole tooth whose crown points along +z; None where there is none."""
+        from scipy.ndimage import distance_transform_edt, find_objects, label
 
         margin = int(np.ceil(_WIDEST_OPENING_M / tooth.spacing_m)) + 1
         empty = np.pad(tooth.fraction < FULL / 2, margin, constant_values=True)
+        layer = np.pad(tooth.layer, margin)
         radius = 0.5 * _WIDEST_OPENING_M / tooth.spacing_m
         passages, _ = label(distance_transform_edt(empty) > radius)
         outside = passages == passages[0, 0, 0]
         away = distance_transform_edt(~outside)
-        pieces, count = label(empty & (away > radius))
-        if count == 0:
-            return None
+        pieces, _ = label(empty & (away > radius))
         sizes = np.bincount(pieces.ravel())
         sizes[0] = 0
-        inner = tuple(slice(margin, -margin) for _ in range(3))
-        inside = pieces[inner] == np.argmax(sizes)
-        return cls(tooth, inside, (tooth.spacing_m * away[inner]).astype(np.float32))
+        low, high = (volume / tooth.voxel_volume_m3 for volume in _VOLUME_M3)
+        candidates = [int(k) for k in np.argsort(sizes)[::-1] if low <= sizes[k] <= high]
+        heights = np.nonzero((layer == ENAMEL) & ~empty)[2]
+        neck = float(np.percentile(heights, _ENAMEL_PERCENT)) if len(heights) else np.inf
+        boxes = find_objects(pieces)
+        for number in candidates:
+            box = tuple(slice(side.start - 1, side.stop + 1) for side in boxes[number - 1])
+            piece = pieces[box] == number
+            if _is_closed(piece, empty[box], neck - box[2].start, tooth.spacing_m) and _in_dentin(
+                piece, empty[box], layer[box]
+            ):
+                inner = tuple(slice(margin, -margin) for _ in range(3))
+                return cls(tooth, pieces[inner] == number, (tooth.spacing_m * away[inner]).astype(np.float32))
+        return None
 
     @property
     def volume_m3(self) -> float:
@@ -98,3 +122,38 @@ def with_pulp(volume: VoxelVolume, cavity: NDArray[np.bool_]) -> VoxelVolume:
     fraction[cavity], layer[cavity] = FULL, PULP
     density[cavity] = round(LAYER_DENSITY_KG_M3["pulp"])
     return replace(volume, fraction=fraction, layer=layer, density_kg_m3=density)
+
+
+def _is_closed(piece: NDArray[np.bool_], empty: NDArray[np.bool_], neck: float, spacing_m: float) -> bool:
+    """Return whether the openings of a void are as small as foramina and lie in the roots.
+
+    Parameters
+    ----------
+    piece
+        Voxels of the void, with at least one voxel around them.
+    empty
+        Voxels without tissue, same shape.
+    neck
+        Index along z of the neck of the tooth, above which the crown is.
+    spacing_m
+        Edge of a voxel [m].
+    """
+    from scipy.ndimage import label
+
+    around = empty & ~piece
+    faces = np.zeros(piece.shape, dtype=np.int64)
+    for axis in range(3):
+        for step in (1, -1):
+            faces += piece & np.roll(around, step, axis)
+    mouths, count = label(faces > 0, np.ones((3, 3, 3)))
+    areas = spacing_m**2 * np.bincount(mouths.ravel(), faces.ravel(), minlength=count + 1)[1:]
+    in_crown = spacing_m**2 * float(faces[:, :, np.arange(piece.shape[2]) >= neck].sum())
+    return in_crown <= _CROWN_LEAK_M2 and bool((areas <= _LARGEST_MOUTH_M2).all())
+
+
+def _in_dentin(piece: NDArray[np.bool_], empty: NDArray[np.bool_], layer: NDArray[np.uint8]) -> bool:
+    """Return whether most of the wall of a void is dentin."""
+    from scipy.ndimage import binary_dilation
+
+    wall = layer[binary_dilation(piece) & ~empty]
+    return len(wall) > 0 and float(np.mean(wall == DENTIN)) >= _LEAST_DENTIN

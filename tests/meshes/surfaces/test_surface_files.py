@@ -52,8 +52,8 @@ def test_formats(write, suffix):
         (
             (12, 10, 9),
             1.0,
-            "millimetres, since the longest side 12 would be 12 mm (in centimetres it would be 120 mm: set "
-            "anatomy.scale_mm to be sure)",
+            "millimetres, since the longest side 12 would be 12 mm (in centimetres it would be 120 mm, in "
+            "inches 305 mm: set anatomy.scale_mm to be sure)",
         ),
     ],
 )
@@ -260,3 +260,13 @@ def test_real_scapulae(anatomy):
     assert scaled.volume_mm3 == pytest.approx(0.4155 * 50**3, rel=1e-3)
     with pytest.raises(InputError, match=r"^anatomy\.scale_mm must be given .* for example 50$"):
         read_surface(anatomy / "scapula" / "openforge_scapula_left.stl")
+
+
+def test_a_ply_that_names_a_missing_texture_is_read_quietly(tmp_path, capfd, caplog):
+    lines = ["ply", "format ascii 1.0", "comment TextureFile skin of bone.jpg", "element vertex 4"]
+    lines += [f"property float {name}" for name in ("x", "y", "z", "s", "t")]
+    lines += ["element face 4", "property list uchar int vertex_indices", "end_header"]
+    lines += ["0 0 0 0 0", "30 0 0 1 0", "0 30 0 0 1", "0 0 30 1 1", "3 0 2 1", "3 0 1 3", "3 1 2 3", "3 0 3 2"]
+    (tmp_path / "bone.ply").write_text("\n".join(lines) + "\n")
+    assert read_surface(tmp_path / "bone.ply").report.volume_mm3 == pytest.approx(30.0**3 / 6.0)
+    assert capfd.readouterr().err == "" and not caplog.records

@@ -190,3 +190,57 @@ def test_a_sound_tooth_has_no_site_over_its_caries():
     values[values == 1] = 3
     with pytest.raises(InputError, match=r"^site must not be caries for a tooth without a lesion"):
         labelled_tooth(image(values)).at_lesion()
+
+
+def no_pulp(values):
+    """Volume of the tooth of labels without any pulp [mm3]; fails where a pulp is found."""
+    remarks = []
+    volume = labelled_tooth(image(values)).volume(resample_mm=0.1, remark=remarks.append)
+    assert volume.volume_m3("pulp") == 0.0
+    assert "No label for the pulp: its distance and exposure are unknown." in remarks
+    return 1e9 * volume.volume_m3()
+
+
+def solid():
+    """The tooth without cavity and decay: 60 mm3 of enamel over 180 mm3 of dentin."""
+    values = tooth_labels()
+    values[60:100, 30:40, 25:35] = 3
+    values[35:45, 30:40, 15:25] = np.where(np.arange(35, 45)[:, None, None] < 40, 2, 3)
+    return values
+
+
+@pytest.mark.parametrize(
+    ("where", "gone_mm3"),
+    [
+        ((slice(0, 35), slice(10, 60), slice(27, 33)), 2.5 * 5.0 * 0.6),  # a fissure across the crown, open at its ends
+        ((slice(0, 70), slice(20, 50), slice(27, 33)), 6.0 * 3.0 * 0.6),  # a deep one within the crown and the dentin
+        ((slice(0, 60), slice(32, 38), slice(27, 33)), 5.0 * 0.6 * 0.6),  # a pit
+        ((slice(60, 120), slice(0, 30), slice(27, 33)), 6.0 * 2.0 * 0.6),  # a groove along a root
+        ((slice(0, 120), slice(32, 38), slice(27, 33)), 11.0 * 0.6 * 0.6),  # a hole from the crown far into a root
+    ],
+)
+def test_what_is_open_to_the_mouth_is_no_pulp(where, gone_mm3):
+    values = solid()
+    values[where] = 0
+    assert no_pulp(values) == pytest.approx(240.0 - gone_mm3, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("where", "gone_mm3"),
+    [
+        ((slice(70, 78), slice(30, 38), slice(25, 33)), 0.8**3),  # a pore: no pulp is as small
+        ((slice(18, 30), slice(25, 40), slice(25, 35)), 1.2 * 1.5 * 1.0),  # a hollow in the enamel
+    ],
+)
+def test_a_void_of_other_size_or_place_is_no_pulp(where, gone_mm3):
+    values = solid()
+    values[where] = 0
+    assert no_pulp(values) == pytest.approx(240.0 - gone_mm3, rel=0.01)
+
+
+def test_the_pulp_is_found_beside_a_larger_fissure():
+    values = tooth_labels()
+    values[0:35, 10:60, 27:33] = 0
+    values[0:35, 32:38, 10:50] = 0
+    volume = labelled_tooth(image(values)).volume(resample_mm=0.1)
+    assert 1e9 * volume.volume_m3("pulp") == pytest.approx(4.0, rel=0.1)

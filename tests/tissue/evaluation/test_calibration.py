@@ -189,3 +189,9 @@ def test_another_plan_is_another_session(log):
 def test_what_cannot_be_calibrated_is_refused(refused, here, arguments, sentence):
     assert sentence in refused("calibrate", *arguments)
     assert not os.listdir(here)
+
+
+@pytest.mark.parametrize("name", ["seed", "trials", "numbers"])
+def test_counts_of_a_plan_are_whole_numbers(name):
+    with pytest.raises(InputError, match=f"{name} must be a whole number, got 1.5"):
+        Plan(**{name: 1.5})

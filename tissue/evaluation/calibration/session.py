@@ -49,6 +49,9 @@ class Plan:
         require_range("trials", self.trials, 0, 100_000, "use 120")
         require_range("numbers", self.numbers, 0, 100_000, "use 24")
         require_range("force_limit_N", self.force_limit_N, 0.5, 1000.0, "give the device's greatest force")
+        for name, value in (("seed", self.seed), ("trials", self.trials), ("numbers", self.numbers)):
+            if not isinstance(value, int):
+                raise InputError(f"{name} must be a whole number, got {value}: leave out the decimal point")
         if self.trials + self.numbers == 0:
             raise InputError("trials and numbers must not both be 0, got 0 and 0: use 120 and 24")
 

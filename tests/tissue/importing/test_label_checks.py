@@ -1,0 +1,104 @@
+"""Labels against the image under them, names that are shared, laws without Hounsfield units, and volumes that are kept."""
+
+import re
+
+import numpy as np
+import pytest
+import SimpleITK
+import trimesh
+from ct_ball import CENTRE_MM, RADIUS_MM, ball, ball_mask
+from image_writers import write_nrrd
+
+import tissue
+from meshes.base.errors import InputError
+from meshes.ct.label_check import bone_label_note, soft_label_note
+from meshes.ct.labels import read_labels
+
+
+@pytest.fixture(scope="module")
+def ct():
+    return ball()
+
+
+def moved(image, distance_mm):
+    return ball_mask(image, centre_mm=CENTRE_MM + np.array([distance_mm, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("distance_mm", [0.0, 6.0, 10.0, 12.0])
+def test_the_share_of_bone_is_that_of_two_balls(ct, distance_mm):
+    """Overlap of two balls of radius r at distance d, over one of them: (1 - d/2r)^2 (1 + d/4r)."""
+    ratio = distance_mm / RADIUS_MM
+    share = (1.0 - 0.5 * ratio) ** 2 * (1.0 + 0.25 * ratio)
+    note = bone_label_note(ct, moved(ct, distance_mm), "humerus")
+    if share > 0.55:
+        assert note == ""
+        return
+    stated = float(re.search(r"(\d+)% of its voxels above 150 HU", note)[1])
+    assert stated == pytest.approx(100.0 * share, abs=5.0)  # voxels that hold an eighth of bone are above 150 HU
+
+
+def test_a_label_off_the_bone_is_refused(ct):
+    with pytest.raises(
+        InputError, match=r"region must be a label on bone, got humerus with \d% of its voxels above 150"
+    ):
+        bone_label_note(ct, moved(ct, 20.0), "humerus")
+
+
+def test_a_soft_organ_lies_on_soft_tissue(ct):
+    around = ball_mask(ct, radius_mm=17.0) & ~ball_mask(ct, radius_mm=14.0)
+    assert soft_label_note(ct, around, "liver") == ""
+    assert "median is 900 HU" in soft_label_note(ct, ball_mask(ct) & ~ball_mask(ct, radius_mm=10.0), "liver")
+    assert "median is -1000 HU" in soft_label_note(ct, ~ball_mask(ct, radius_mm=20.0), "liver")
+
+
+def files(folder, image, mask, names=("humerus",)):
+    """The CT and its labels as files; slabs of the mask along x have the numbers from 1."""
+    write_nrrd(folder / "ct.nrrd", image.values, np.diag(image.spacing_mm), image.origin_mm)
+    slab = np.minimum(np.arange(mask.shape[0]) * len(names) // mask.shape[0], len(names) - 1) + 1
+    values = np.where(mask, slab[:, None, None], 0).astype(np.uint8)
+    stored = SimpleITK.GetImageFromArray(np.ascontiguousarray(values.T))
+    stored.SetSpacing(image.spacing_mm)
+    stored.SetOrigin(image.origin_mm)
+    for index, name in enumerate(names):
+        stored.SetMetaData(f"Segment{index}_Name", name)
+        stored.SetMetaData(f"Segment{index}_LabelValue", str(index + 1))
+    SimpleITK.WriteImage(stored, str(folder / "a.seg.nrrd"), True)
+    return folder / "ct.nrrd", {"labels": folder / "a.seg.nrrd", "region": names[0], "pictures": False}
+
+
+def test_a_moved_label_is_reported_by_the_import(ct, tmp_path):
+    source, options = files(tmp_path, ct, moved(ct, 12.0))
+    made = tissue.import_ct(source, tmp_path / "out", density="line:1.0,500.0", **options)
+    assert any(sentence.startswith("warning: most of label humerus is not bone") for sentence in made.sentences)
+    source, options = files(tmp_path, ct, moved(ct, 20.0))
+    with pytest.raises(InputError, match="region must be a label on bone"):
+        tissue.import_ct(source, tmp_path / "other", density="line:1.0,500.0", **options)
+
+
+def test_segments_of_one_name_are_named(ct, tmp_path):
+    _, options = files(tmp_path, ct, ball_mask(ct), names=("humerus", "humerus"))
+    labels = read_labels(options["labels"])
+    assert labels.image.notes[-1] == "a.seg.nrrd has 2 labels named humerus (1, 2): they are taken as one."
+    assert labels.mask("humerus").sum() == ball_mask(ct).sum()
+
+
+@pytest.mark.parametrize("law", ["ct", "dragomir-daescu", "internal", " CT "])
+def test_a_named_law_needs_hounsfield_units(ct, tmp_path, law):
+    micro = (100 + ct.values // 20).astype(np.int16)
+    write_nrrd(tmp_path / "ct.nrrd", micro, np.diag(ct.spacing_mm), ct.origin_mm)
+    with pytest.raises(InputError, match="density must be line:SLOPE,OFFSET for an image that is not in Hounsfield"):
+        tissue.import_ct(tmp_path / "ct.nrrd", tmp_path / "out", threshold=125.0, density=law, pictures=False)
+
+
+@pytest.mark.parametrize(("spacing_mm", "is_kept"), [((0.6, 0.6, 0.6), True), ((1.0, 1.0, 6.0), False)])
+def test_the_volume_is_called_kept_only_where_it_is(tmp_path, spacing_mm, is_kept):
+    image = ball(spacing_mm, half_mm=21.0)
+    mask = ball_mask(image)
+    source, options = files(tmp_path, image, mask)
+    made = tissue.import_ct(source, tmp_path / "out", density="line:1.0,500.0", **options)
+    label_mm3 = mask.sum() * np.prod(spacing_mm)
+    change = trimesh.load(made.folder / "bone.ply").volume / label_mm3 - 1.0
+    sentence = next(each for each in made.sentences if each.startswith("bone: label humerus"))
+    assert (abs(change) <= 0.01) == is_kept == ("kept to 1%" in sentence)
+    assert is_kept or f"{abs(change):.1%} {'more' if change > 0 else 'less'} than the label's" in sentence
+    assert any("are coarse" in each for each in made.sentences) == (not is_kept)
