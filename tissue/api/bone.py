@@ -29,10 +29,9 @@ __all__ = ["Bone"]
 
 
 class Bone:
-    """Bone in the frame of its file or array [mm], which keeps what tools have cut.
+    """Bone in the frame of its file or array [mm], which keeps its cuts.
 
-    Make one by `from_file`, `block`, `from_array` or `from_image`. Voxels of a surface or a block are made where a tool
-    first reaches.
+    Make one by `from_file`, `block`, `from_array` or `from_image`.
 
     Attributes
     ----------
@@ -79,15 +78,13 @@ class Bone:
         cortical_density_kg_m3, trabecular_density_kg_m3
             Apparent densities [kg/m3], 50 to 2500.
         options
-            ``material``: of the cited cutting coefficients, bone, or one that was registered or that a package offers;
-            ``cutting``: coefficients in place of these, by their names in a scene, ``{"density_exponent": 2.0}``;
-            ``materials``: file of constants in place of the cited ones, as `tissue fit` writes it.
+            ``material``: name of the cited cutting coefficients, bone or a registered one; ``cutting``: coefficients in
+            place of these, by their names in a scene; ``materials``: file of constants, as `tissue fit` writes it.
 
         Raises
         ------
         InputError
-            If a file cannot be read, it encloses no solid or holds no constant of this bone, or a number is out of
-            range.
+            If a file cannot be used, or a number is out of range.
         """
         require_known(options, maker="Bone.from_file")
         source = surface_source(
@@ -220,8 +217,8 @@ class Bone:
         moves straight. Its velocity at a pose is the difference to the pose before, so force and torque at the first
         pose are 0; what lies inside the tool there is removed.
 
-        A warning is issued, and noted in `Cut.notes` and `Cut.events`, where the feed per tooth exceeds 0.1 mm, up to
-        which the cutting law holds, and where a smooth part of the tool, such as a peg, is pushed into bone.
+        A warning is issued, and noted in `Cut.notes` and `Cut.events`, where the feed per tooth exceeds 0.1 mm, and
+        where a smooth part of the tool, such as a peg, is pushed into bone.
 
         Parameters
         ----------

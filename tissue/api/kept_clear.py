@@ -20,7 +20,7 @@ from tissue.scene.keep_clear import Name
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["Structures", "clearance_of"]
+__all__ = ["Structures", "clearance_of", "refuse_structures"]
 
 Structures = Mapping[str, Union[str, PathLike[str], "pyvista.PolyData"]]
 """Closed surface of each structure by name: a file or a pyvista surface, in millimetres in the frame of the bone."""
@@ -60,6 +60,12 @@ def clearance_of(
         with names_of_caller(dict.fromkeys((*FILE_WORDS, "anatomy.scale_mm"), f"keep_clear[{name}]")):
             found[name] = _structure(name, surface)
     return KeepClear(tool.profile, found, box_m=box_m, times_s=times_s)
+
+
+def refuse_structures(structures: Structures | None) -> None:
+    """Refuse structures where the tool presses an organ, in which nothing is cut."""
+    if structures:
+        raise InputError("keep_clear must be left out for an organ, got structures: use it with a cutter in bone")
 
 
 def _structure(name: str, surface: object) -> Structure:
