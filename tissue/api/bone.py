@@ -116,11 +116,6 @@ class Bone:
             Apparent density, 100 to 2500 kg/m3; 1800 is cortical bone.
         spacing_mm, options
             As of `from_file`.
-
-        Raises
-        ------
-        InputError
-            If a number is not finite or out of range.
         """
         require_known(options, maker="Bone.block")
         anatomy = cortical_block(size_mm=size_mm, density_kg_m3=density_kg_m3)
@@ -151,7 +146,7 @@ class Bone:
         layer
             Number of each voxel's layer, same shape; default all 0.
         layer_names
-            Name of each layer; enamel, dentin, caries, pulp and ligament are cut as such, all others as `material`.
+            Name of each layer; enamel, dentin, caries, pulp and ligament are cut as such, others as `material`.
         options
             As of `from_file`.
 
@@ -194,7 +189,7 @@ class Bone:
         Raises
         ------
         InputError
-            If the file cannot be read, nothing lies above the threshold, or it would not fit memory.
+            If the file cannot be used, nothing lies above the threshold, or it would not fit memory.
         """
         require_known(options, maker="Bone.from_image")
         source = image_source(Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm)
@@ -224,11 +219,9 @@ class Bone:
         ----------
         tool
             A cutter of `tissue.cutters`.
-        poses
+        poses, times_s
             Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices from the tool's frame
-            to the bone's [mm], shape (n, 4, 4). The tool's z goes from tip to shank.
-        times_s
-            Increasing times of the poses [s], shape (n,). For a path at a feed: `tissue.feed_along`.
+            to the bone's [mm], shape (n, 4, 4), with z from tip to shank; and increasing times [s], shape (n,).
         axis
             Direction from tip to shank where poses are tips alone; default z.
         depth_mm, tolerance
@@ -241,8 +234,7 @@ class Bone:
         Raises
         ------
         InputError
-            If poses, times or a surface cannot be used, the tool is less than four voxels wide, or a tooth in bone
-            would take a chip thicker than the tool's radius.
+            If an argument cannot be used, or a tooth would take a chip thicker than the tool's radius.
         """
         tips, turns = poses_of(poses, axis)
         times = times_of(times_s, len(tips))

@@ -11,21 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.errors import InputError, require_direction, require_positive, require_range, require_vector
+from tissue.api import loop_parts
 from tissue.api.bone import Bone
 from tissue.api.cut import saved_table
 from tissue.api.cutting import warn_of
 from tissue.api.kept_clear import Structures, clearance_of, refuse_structures
 from tissue.api.loop_materials import device_note
-from tissue.api.loop_parts import (
-    bone_met,
-    organ_met,
-    own_names,
-    require_device,
-    require_match,
-    settings_of,
-    start_above,
-    usual_force_N,
-)
+from tissue.api.loop_parts import bone_met, organ_met, require_device, require_match, settings_of, start_above
 from tissue.api.organ import Organ
 from tissue.api.simulate import TickRow
 from tissue.api.tools import PressingTool, ball
@@ -117,15 +109,13 @@ class Loop:
         reach_mm
             Distance around the tool to which bone is made ready, or from the start to which an organ may be touched
             [mm]. More bone is made when half of the distance is used up, in a tick that takes longer.
-        predictor
-            What predicts the force over the latency: a name, or an object with ``observe`` and ``predict``.
-        predictor_file
-            What `tissue train` wrote, for a name that is trained.
+        predictor, predictor_file
+            Prediction of the force over the latency: a name, or an object with ``observe`` and ``predict``; and the
+            file that `tissue train` wrote, for a name that is trained.
         hand
-            Whose hand holds the device, for the judgement: novice, intermediate or expert.
+            Hand for which stability is judged: novice, intermediate or expert.
         materials
-            File of constants of device and hand in place of the known ones, as `tissue fit` writes it; bone and organs
-            take their own.
+            File of constants of device and hand, as `tissue fit` writes it.
         renderer
             Law by which the device plays what the tool meets: proxy, penalty or passivity.
         stiffness_N_m
@@ -133,16 +123,12 @@ class Loop:
         force_scale, motion_scale
             Newtons at the device for each at the tool, by default 1 on an organ and on bone what brings the force in a
             slot a quarter of the cutter deep within the device's range; metres at the tool for each at the device.
-        delay_ms
-            Latency added before the device, in whole ticks.
-        low_pass_ms
-            Time constant of the low-pass before the device [ms].
+        delay_ms, low_pass_ms
+            Latency added before the device, in whole ticks, and time constant of the low-pass before it [ms].
         allow_unstable
             Run a coupling that is judged unstable, too.
-        longest_s
-            Time for which rows are laid out [s].
-        keep_clear
-            Structures that a cutter must not touch, as of `tissue.Bone.cut`.
+        longest_s, keep_clear
+            Time for which rows are laid out [s]; structures that a cutter must not touch, as of `tissue.Bone.cut`.
 
         Raises
         ------
@@ -174,12 +160,12 @@ class Loop:
         if force_scale is not None:
             scale = require_positive("force_scale", force_scale, "use 1")
         elif isinstance(tissue, Bone) and isinstance(tool, Cutter):
-            usual = usual_force_N(tissue, tool)
+            usual = loop_parts.usual_force_N(tissue, tool)
             scale = fitted_scale(usual, settings.limits)
             chosen_for = f", chosen for the {usual:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
         ticks = round(require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600") / TICK_S)
         x, y, z = along.tolist()
-        with own_names():
+        with loop_parts.own_names():
             motion, found = device_motion(
                 settings,
                 StaysAt(start_m, (x, y, z)),
