@@ -36,8 +36,8 @@ CHIP_FORCE, CHIP_TORQUE, EDGE_FORCE, EDGE_TORQUE, RATE, AREA = 0, 3, 6, 9, 12, 1
 """Places in the sums. Three each per unit of speed: force [N s/m], torque about the tip [N s]; three each independent
 of speed: force [N] and torque [N m]; removal rate per unit of speed [m2]; engaged area of each layer [m2]."""
 WIDEST = wp.constant(3.5)  # across the surface, an element is taken as this wide at most [voxel]
-DENSITIES = wp.constant(4096)
-"""Entries of the strength table: densities of 0 to 4095 kg/m3."""
+DENSITIES = wp.constant(20001)
+"""Entries of the strength table: densities of 0 to 20,000 kg/m3, the largest that a bone may have."""
 
 
 @wp.struct

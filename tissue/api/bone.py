@@ -8,22 +8,20 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import require_range
 from meshes.base.file_limits import memory_limit
 from meshes.shapes.anatomy import cortical_block
 from meshes.voxels.density_volume import density_volume
 from meshes.voxels.volume import VoxelVolume
-from tissue.api.bone_materials import BoneOptions, cut_as
+from tissue.api.bone_materials import BoneOptions, cut_as, require_known
 from tissue.api.bone_source import BoneSource, anatomy_source, image_source, surface_source
 from tissue.api.cut import Cut
+from tissue.api.cutting import TimedPoses, cut_along, require_cutter
+from tissue.api.kept_clear import Structures, clearance_of
 from tissue.api.poses import poses_of, times_of
 from tissue.api.removed import Removed
-from tissue.builders.bone import VoxelBone, tool_boxes
-from tissue.builders.parts import Parts
+from tissue.builders.bone import VoxelBone, element_spacing_m
 from tissue.cutters.cutter import Cutter
-from tissue.motion.replay import GivenPoses
-from tissue.scene.scene import Output
-from tissue.simulation.loop import Loop, undisturbed
 
 if TYPE_CHECKING:
     import pyvista
@@ -32,10 +30,9 @@ __all__ = ["Bone"]
 
 
 class Bone:
-    """Bone in the frame of its file or array [mm], which keeps what tools have cut.
+    """Bone in the frame of its file or array [mm], which keeps its cuts.
 
-    Make one by `from_file`, `block`, `from_array` or `from_image`. Voxels of a surface or a block are made where a tool
-    first reaches.
+    Make one by `from_file`, `block`, `from_array` or `from_image`.
 
     Attributes
     ----------
@@ -46,6 +43,7 @@ class Bone:
     """
 
     def __init__(self, source: BoneSource, **options: Unpack[BoneOptions]) -> None:
+        require_known(options, maker="Bone")
         self._source, self._options = source, options
         made = source.voxels()
         names = made.layer_names if isinstance(made, VoxelVolume) else made.store.grid.layer_names
@@ -81,16 +79,15 @@ class Bone:
         cortical_density_kg_m3, trabecular_density_kg_m3
             Apparent densities [kg/m3], 50 to 2500.
         options
-            ``material``: of the cited cutting coefficients, bone, or one that was registered or that a package offers;
-            ``cutting``: coefficients in place of these, by their names in a scene, ``{"density_exponent": 2.0}``;
-            ``materials``: file of constants in place of the cited ones, as `tissue fit` writes it.
+            ``material``: name of the cited cutting coefficients, bone or a registered one; ``cutting``: coefficients in
+            place of these, by their names in a scene; ``materials``: file of constants, as `tissue fit` writes it.
 
         Raises
         ------
         InputError
-            If a file cannot be read, it encloses no solid or holds no constant of this bone, or a number is out of
-            range.
+            If a file cannot be used, or a number is out of range.
         """
+        require_known(options, maker="Bone.from_file")
         source = surface_source(
             Path(file),
             spacing_mm=spacing_mm,
@@ -120,12 +117,8 @@ class Bone:
             Apparent density, 100 to 2500 kg/m3; 1800 is cortical bone.
         spacing_mm, options
             As of `from_file`.
-
-        Raises
-        ------
-        InputError
-            If a number is not finite or out of range.
         """
+        require_known(options, maker="Bone.block")
         anatomy = cortical_block(size_mm=size_mm, density_kg_m3=density_kg_m3)
         source = anatomy_source(anatomy, spacing_mm=spacing_mm)
         return cls(replace(source, density_kg_m3=density_kg_m3), **options)
@@ -154,7 +147,7 @@ class Bone:
         layer
             Number of each voxel's layer, same shape; default all 0.
         layer_names
-            Name of each layer; enamel, dentin, caries, pulp and ligament are cut as such, all others as `material`.
+            Name of each layer; enamel, dentin, caries, pulp and ligament are cut as such, others as `material`.
         options
             As of `from_file`.
 
@@ -163,6 +156,7 @@ class Bone:
         InputError
             If an array has another shape, is not finite or out of range, or holds no bone.
         """
+        require_known(options, maker="Bone.from_array")
         volume = density_volume(
             density_kg_m3, spacing_mm=spacing_mm, origin_mm=origin_mm, layer=layer, layer_names=layer_names
         )
@@ -199,63 +193,72 @@ class Bone:
         Raises
         ------
         InputError
-            If the file cannot be read, nothing lies above the threshold, or it would not fit memory.
+            If the file cannot be used, nothing lies above the threshold, or it would not fit memory.
         """
+        require_known(options, maker="Bone.from_image")
         with memory_limit(max_memory_GB):
             source = image_source(Path(file), threshold=threshold, density_kg_m3=density_kg_m3, spacing_mm=spacing_mm)
         return cls(source, **options)
 
-    def cut(self, tool: Cutter, poses: ArrayLike, times_s: ArrayLike, *, axis: ArrayLike | None = None) -> Cut:
-        """Move a turning tool through poses: take away what it sweeps, and give the force at every pose.
+    def cut(
+        self,
+        tool: Cutter,
+        poses: ArrayLike,
+        times_s: ArrayLike,
+        *,
+        axis: ArrayLike | None = None,
+        depth_mm: float = 0.1,
+        tolerance: float = 0.01,
+        keep_clear: Structures | None = None,
+    ) -> Cut:
+        """Move a turning tool through poses: remove what it sweeps, and compute the force at every pose.
 
-        The bone keeps the cut: what a tool removed is not there for the next, and the same tool that begins where it
-        ended goes on, as if both cuts were one. Between poses the tool goes straight; its
-        velocity at a pose is the difference to the pose before, so force and torque at the first pose are 0, where what
-        lies inside the tool is taken away.
+        The bone keeps the cut, and the same tool that begins where it ended continues the cut. Between poses the tool
+        moves straight. Its velocity at a pose is the difference to the pose before, so force and torque at the first
+        pose are 0; what lies inside the tool there is removed.
+
+        A warning is issued, and noted in `Cut.notes` and `Cut.events`, where the feed per tooth exceeds 0.1 mm, and
+        where a smooth part of the tool, such as a peg, is pushed into bone.
 
         Parameters
         ----------
         tool
             A cutter of `tissue.cutters`.
-        poses
+        poses, times_s
             Tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices from the tool's frame
-            to the bone's [mm], shape (n, 4, 4). The tool's z goes from tip to shank.
-        times_s
-            Increasing times of the poses [s], shape (n,). For a path at a feed: `tissue.feed_along`.
+            to the bone's [mm], shape (n, 4, 4), with z from tip to shank; and increasing times [s], shape (n,).
         axis
             Direction from tip to shank where poses are tips alone; default z.
+        depth_mm, tolerance
+            Smallest depth of cut that matters [mm], 0.001 to 100, and the relative error of its force, 0.001 to 0.1.
+            They decide how many elements the tool's surface has. Voxels should be finer than the depth.
+        keep_clear
+            Closed surfaces that the tool must not touch, by name: files or pyvista surfaces in the frame of the bone
+            [mm]. The trace has ``distance_NAME_mm`` of each, and a breach is an event.
 
         Raises
         ------
         InputError
-            If poses or times cannot be used, or the tool is less than four voxels wide.
+            If an argument cannot be used, or a tooth would take a chip thicker than the tool's radius.
         """
         tips, turns = poses_of(poses, axis)
         times = times_of(times_s, len(tips))
         self.require_cutter(tool)
-        boxes = tool_boxes(tool, tips, turns.as_matrix()[:, :, 2], spacing_m=1e-3 * self.spacing_mm)
-        model, goes_on = self.voxel_bone.under(tool, boxes, (tips[0], turns[0].as_matrix()))
-        before = model.removed_m3
-        motion = GivenPoses(times, tips, turns)
-        loop = Loop(Parts(motion, model, cutter=tool), ticks=len(tips), output=Output(low_pass_ms=0.0))
-        loop.place(resume=goes_on)
-        with undisturbed():
-            for _ in range(len(tips)):
-                loop.step()
-        loop.finish()
-        self.voxel_bone.left_at = tips[-1], turns[-1].as_matrix()
-        return Cut.of(loop, times, removed_before_m3=before)
+        depth_m = 1e-3 * require_range("depth_mm", depth_mm, 1e-3, 100.0, "use 0.1")
+        share = require_range("tolerance", tolerance, 1e-3, 0.1, "use 0.01")
+        reach_m = np.linalg.norm([tool.profile.radius_m, *tool.profile.height_range_m])
+        box_m = np.array([tips.min(axis=0) - reach_m, tips.max(axis=0) + reach_m])
+        return cut_along(
+            self.voxel_bone,
+            tool,
+            TimedPoses(times, tips, turns),
+            shell_spacing_m=element_spacing_m(tool, depth_m=depth_m, tolerance=share),
+            keep_clear=clearance_of(keep_clear, tool, box_m=box_m, times_s=times),
+        )
 
     def require_cutter(self, tool: object) -> None:
         """Refuse what cannot cut this bone."""
-        if not isinstance(tool, Cutter):
-            raise InputError(f"tool must be a cutter, got {type(tool).__name__}: make one by tissue.cutters.ball_burr")
-        width_mm = 2e3 * tool.profile.radius_m
-        if width_mm < 4.0 * self.spacing_mm:
-            raise InputError(
-                f"tool must be at least four voxels of {self.spacing_mm:g} mm wide, got {width_mm:.3g} mm: give the "
-                f"bone spacing_mm = {width_mm / 20:.2g}"
-            )
+        require_cutter(tool, spacing_mm=self.spacing_mm)
 
     def uncut(self) -> "Bone":
         """The same bone before any cut."""

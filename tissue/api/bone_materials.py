@@ -1,16 +1,21 @@
 """What a bone is cut as: cited coefficients, a caller's own, and those of a person's file."""
 
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from os import PathLike
 from typing import TypedDict
 
+from meshes.base.errors import InputError, require_range
 from tissue.builders.own_constants import given_note
 from tissue.materials.constants import CuttingCoefficients
 from tissue.materials.scene_constants import Materials
 from tissue.scene.registry import CUTTING_MATERIALS
 from tissue.scene.used_constants import used_of_cutting
 
-__all__ = ["BoneOptions", "cut_as"]
+__all__ = ["BoneOptions", "cut_as", "require_known"]
+
+BOUNDS = {"_N_mm2": (0.0, 5000.0), "_N_mm": (0.0, 500.0), "_exponent": (0.0, 5.0), "_kg_m3": (50.0, 20000.0)}
+"""Range of a cutting coefficient by the end of its name, as of a scene's keys."""
 
 
 class BoneOptions(TypedDict, total=False):
@@ -19,6 +24,36 @@ class BoneOptions(TypedDict, total=False):
     material: str
     cutting: Mapping[str, float] | None
     materials: str | PathLike[str] | Materials | None
+
+
+def require_known(options: Mapping[str, object], *, maker: str) -> None:
+    """Refuse an argument that no bone has, as Python does where arguments are listed."""
+    known = list(BoneOptions.__annotations__)
+    for name in options:
+        if name not in known:
+            close = get_close_matches(name, known, n=1)
+            hint = f"Did you mean {close[0]}? " if close else ""
+            raise TypeError(
+                f"{maker} got an unexpected keyword argument {name!r}. {hint}Beyond its own arguments it takes "
+                f"{', '.join(known)}."
+            )
+
+
+def _require_coefficients(cutting: object) -> Mapping[str, float]:
+    """Check that coefficients are finite numbers in range."""
+    if cutting is None:
+        return {}
+    if not isinstance(cutting, Mapping):
+        raise InputError(
+            f"cutting must be a mapping of coefficients, got {type(cutting).__name__}: give "
+            '{"tangential_chip_N_mm2": 150}'
+        )
+    for name, value in cutting.items():
+        for ending, (low, high) in BOUNDS.items():
+            if str(name).endswith(ending):
+                require_range(f"cutting[{name}]", value, low, high, "leave it out for the cited value")
+                break
+    return cutting
 
 
 def cut_as(
@@ -31,7 +66,7 @@ def cut_as(
     InputError
         If the file cannot be used, or holds nothing that counts in this bone.
     """
-    given, changes = Materials.of(options.get("materials")), options.get("cutting") or {}
+    given, changes = Materials.of(options.get("materials")), _require_coefficients(options.get("cutting"))
     bone = CUTTING_MATERIALS[options.get("material", "bone")][1]
     coefficients = given.coefficients(layers, changes, bone=bone)
     even = all(density_kg_m3 == each.reference_density_kg_m3 for each in coefficients)

@@ -1,10 +1,12 @@
 """The surface of a bone that tools have cut, and of what they took away, as pyvista shows them."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.surfaces.seams import close_seams
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.api.quiet import quiet_without_display
 from tissue.builders.bone import VoxelBone
@@ -15,8 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["bone_surface", "plot_surface", "removed_surface"]
 
-SHARP_DEG = 40.0
-"""Edges of a file's surface of a greater angle are drawn sharp."""
+MERGED, SEAM = 1e-3, 3.0
+"""Points of two parts that are one, and loops that belong together, by their distance in voxels."""
 NEAR, AGREE = 0.5, 0.8
 """Farthest voxels from a file's surface, and least cosine between normals, at which a cut bone is shaded like it."""
 
@@ -33,19 +35,54 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
     """
     if outer is None:
         volume, left = _padded(bone.whole)
-        return _shaded(with_layers(_contour(volume, left), volume))
-    parts = []
-    outer = outer.compute_normals(
-        cell_normals=False, split_vertices=True, feature_angle=SHARP_DEG, consistent_normals=False
-    )
+        return _moved(_shaded(with_layers(_contour(_at_origin(volume), left), _at_origin(volume))), volume.origin_m)
+    parts, middle_m = [], bone.bounds_m.mean(axis=0)
+    outer = _moved(outer, -middle_m).clean(point_merging=True).compute_normals(cell_normals=False, split_vertices=False)
     whole = outer
-    for volume, left in bone.cut_parts():
+    spacing_mm = 1e3 * bone.store.grid.spacing_m
+    for made, left in bone.cut_parts():
+        volume = replace(made, origin_m=made.origin_m - middle_m)
         outer = _without(outer, volume)
         part = _contour(volume, left)
         if part.n_cells:
-            parts.append(_shaded(with_layers(part, volume), like=whole, within_mm=NEAR * 1e3 * volume.spacing_m))
+            parts.append(_shaded(with_layers(part, volume), like=whole, within_mm=NEAR * spacing_mm))
     outer.cell_data["layer"] = np.zeros(outer.n_cells, dtype=np.uint8)
-    return outer.append_polydata(*parts) if parts else outer
+    if parts:
+        outer = _joined(outer, parts, spacing_mm)
+    return _moved(outer, middle_m)
+
+
+def _joined(outer: "pyvista.PolyData", parts: "list[pyvista.PolyData]", spacing_mm: float) -> "pyvista.PolyData":
+    """A file's surface and the contours of the parts that were cut as one closed surface."""
+    import pyvista
+
+    cut = parts[0].append_polydata(*parts[1:]) if parts[1:] else parts[0]
+    cut = cut.clean(point_merging=True, absolute=True, tolerance=MERGED * spacing_mm)
+    if not outer.n_cells:
+        return cut
+    outer = outer.triangulate().clean(point_merging=True)
+    points = np.concatenate([outer.points, cut.points]).astype(np.float64)
+    faces = np.concatenate([outer.regular_faces, cut.regular_faces + outer.n_points]).astype(np.int64)
+    closed, triangles = close_seams(points, faces, first_part=outer.n_points, within=SEAM * spacing_mm)
+    surface = pyvista.PolyData.from_regular_faces(closed, triangles.astype(int))
+    layer = np.concatenate([outer.cell_data["layer"], cut.cell_data["layer"]])
+    surface.cell_data["layer"] = np.pad(layer, (0, len(triangles) - len(layer)))
+    normals = np.concatenate([outer.point_data["Normals"], cut.point_data["Normals"]])
+    surface.point_data["Normals"] = np.pad(normals, ((0, len(closed) - len(normals)), (0, 0)))
+    surface.point_data.active_normals_name = "Normals"
+    return surface
+
+
+def _moved(surface: "pyvista.PolyData", by_m: NDArray[np.float64]) -> "pyvista.PolyData":
+    """A surface with its points moved, in double precision: far from the origin single precision would not do."""
+    moved = surface.copy()
+    moved.points = np.asarray(surface.points, dtype=np.float64) + 1e3 * by_m
+    return moved
+
+
+def _at_origin(volume: VoxelVolume) -> VoxelVolume:
+    """A volume whose first corner is the origin."""
+    return replace(volume, origin_m=np.zeros(3))
 
 
 def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
@@ -55,12 +92,14 @@ def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
     parts = [_padded(bone.whole, removed=True)] if bone.on_demand is None else bone.cut_parts()
     surfaces = []
     for volume, left in parts:
-        surface = _contour(volume, left if bone.on_demand is None else volume.fraction - left)
+        near = _at_origin(volume)
+        surface = _contour(near, left if bone.on_demand is None else volume.fraction - left)
         if surface.n_cells:
-            surfaces.append(_shaded(with_layers(surface, volume)))
+            surfaces.append(_moved(_shaded(with_layers(surface, near)), volume.origin_m))
     if not surfaces:
         return pyvista.PolyData()
-    return surfaces[0].append_polydata(*surfaces[1:]) if surfaces[1:] else surfaces[0]
+    whole = surfaces[0].append_polydata(*surfaces[1:]) if surfaces[1:] else surfaces[0]
+    return whole.clean(point_merging=True, absolute=True, tolerance=MERGED * 1e3 * bone.store.grid.spacing_m)
 
 
 def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **options: Any) -> Any:

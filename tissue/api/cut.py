@@ -1,5 +1,6 @@
 """What a tool met on a path through bone: force, torque and removed volume at every pose."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.api.trace import Trace
+from tissue.models.tissue_model import TICK_S
 from tissue.simulation.loop import Loop
 from tissue.simulation.trace import Table, TraceLayout
 from tissue.simulation.trace_files import write_table
@@ -32,10 +34,13 @@ class Cut:
         What was found, by what it is about.
     pose_us
         What each pose took to compute [µs], shape (n,).
+    events
+        What has happened, such as a breach of a structure to keep clear of: time [s] and a sentence each.
     """
 
-    def __init__(self, trace: Table, pose_us: Array) -> None:
+    def __init__(self, trace: Table, pose_us: Array, events: Sequence[tuple[float, str]] = ()) -> None:
         self.trace, self.pose_us = Trace(trace), pose_us
+        self.events = list(events)
         self.notes: dict[str, str] = {}
         start_mm3 = float(self.trace["removed_mm3"][0])
         if start_mm3 > 0.0:
@@ -56,7 +61,9 @@ class Cut:
         rows[:, layout.removed_by_layer] -= 1e9 * removed_before_m3
         rows[:, layout.removed] = rows[:, layout.removed_by_layer].sum(axis=1)
         trace = Table(tuple(names), rows[:, places], loop.trace.layer_names)
-        return cls(trace, np.asarray(loop.timing["tick_us"]))
+        last = len(times_s) - 1
+        events = [(float(times_s[min(round(at_s / TICK_S), last)]), what) for at_s, what in loop.events]
+        return cls(trace, np.asarray(loop.timing["tick_us"]), events)
 
     def __len__(self) -> int:
         return len(self.trace.rows)
@@ -90,6 +97,19 @@ class Cut:
     def removed_mm3(self) -> Array:
         """Volume that this cut has removed up to each pose [mm3], shape (n,)."""
         return np.asarray(self.trace["removed_mm3"])
+
+    def distance_mm(self, name: str) -> Array:
+        """Distance of the tool from a structure to keep clear of [mm], negative where they overlap, shape (n,).
+
+        Raises
+        ------
+        InputError
+            If no structure of this name was given.
+        """
+        column = f"distance_{name}_mm"
+        if column not in self.trace.columns:
+            raise InputError(f"name must be a structure given as keep_clear, got {name}: give it to Bone.cut")
+        return np.asarray(self.trace[column])
 
     @property
     def layer(self) -> NDArray[np.str_]:

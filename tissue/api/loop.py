@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.errors import InputError, require_direction, require_positive, require_range, require_vector
+from tissue.api import loop_parts
 from tissue.api.bone import Bone
 from tissue.api.cut import saved_table
+from tissue.api.cutting import warn_of
+from tissue.api.kept_clear import Structures, clearance_of, refuse_structures
 from tissue.api.loop_materials import device_note
-from tissue.api.loop_parts import bone_met, organ_met, own_names, require_match, settings_of, start_above, usual_force_N
+from tissue.api.loop_parts import bone_met, organ_met, require_device, require_match, settings_of, start_above
 from tissue.api.organ import Organ
 from tissue.api.simulate import TickRow
 from tissue.api.tools import PressingTool, ball
@@ -26,6 +29,7 @@ from tissue.cutters import Cutter, ball_burr
 from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.supervision import run_held
 from tissue.materials.scene_constants import Materials
+from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.stays import StaysAt
 from tissue.prediction.outside import Observes
@@ -44,11 +48,10 @@ LONGEST_S = 3600.0
 
 
 class Loop:
-    """The loop of a haptic device, a tool and what it meets, a tick of 1 ms after another.
+    """The loop of a haptic device, a tool and a tissue, in ticks of 1 ms.
 
-    Every tick the device is read; the tool, which hangs on it by a spring, follows as far as the tissue lets it; the
-    tissue answers; the force passes prediction, low-pass, latency and the device's limits, and is commanded. The
-    stiffness of the spring is judged for stability before the first tick, see docs/models.md.
+    In every tick the device is read, the tool follows it on a spring, the tissue answers, and the force is commanded
+    after prediction, low-pass and the device's limits. The spring is judged for stability before the first tick.
 
     Use it as ``with Loop(...) as loop: row = loop.step()``, or ``loop.run(10.0)``, which holds the device itself: its
     last command is zero, whatever ends the block or the run.
@@ -83,6 +86,7 @@ class Loop:
         low_pass_ms: float = 1.0,
         allow_unstable: bool = False,
         longest_s: float = 600.0,
+        keep_clear: Structures | None = None,
     ) -> None:
         """Judge the loop and build it.
 
@@ -97,23 +101,21 @@ class Loop:
             An object with ``read(time_s)``, which gives a `tissue.Sample` in metres or None, and ``command(force_N,
             torque_Nm)``; entered and left where it is a context manager.
         limits
-            Its numbers: one of the known devices by name, `tissue.DeviceParameters`, or a mapping of these numbers.
+            Name of a known device, `tissue.DeviceParameters`, or a mapping of these numbers.
         start_mm
             Where the tip is when the device is at its own origin [mm]; default 2 mm above the middle of what is met.
         axis
             Direction of the tool from tip to shank; the device's axes are those of the tissue.
         reach_mm
-            How far around the tool bone is made ready, and how far from the start an organ may be touched [mm]. Bone is
-            made anew when half of it is used up, in a tick that takes longer.
-        predictor
-            What predicts the force over the latency: a name, or an object with ``observe`` and ``predict``.
-        predictor_file
-            What `tissue train` wrote, for a name that is trained.
+            Distance around the tool to which bone is made ready, or from the start to which an organ may be touched
+            [mm]. More bone is made when half of the distance is used up, in a tick that takes longer.
+        predictor, predictor_file
+            Prediction of the force over the latency: a name, or an object with ``observe`` and ``predict``; and the
+            file that `tissue train` wrote, for a name that is trained.
         hand
-            Whose hand holds the device, for the judgement: novice, intermediate or expert.
+            Hand for which stability is judged: novice, intermediate or expert.
         materials
-            File of constants of device and hand in place of the known ones, as `tissue fit` writes it; bone and organs
-            take their own.
+            File of constants of device and hand, as `tissue fit` writes it.
         renderer
             Law by which the device plays what the tool meets: proxy, penalty or passivity.
         stiffness_N_m
@@ -121,37 +123,26 @@ class Loop:
         force_scale, motion_scale
             Newtons at the device for each at the tool, by default 1 on an organ and on bone what brings the force in a
             slot a quarter of the cutter deep within the device's range; metres at the tool for each at the device.
-        delay_ms
-            Latency added before the device, in whole ticks.
-        low_pass_ms
-            Time constant of the low-pass before the device [ms].
+        delay_ms, low_pass_ms
+            Latency added before the device, in whole ticks, and time constant of the low-pass before it [ms].
         allow_unstable
             Run a coupling that is judged unstable, too.
-        longest_s
-            Time for which rows are laid out [s].
+        longest_s, keep_clear
+            Time for which rows are laid out [s]; structures that a cutter must not touch, as of `tissue.Bone.cut`.
 
         Raises
         ------
         InputError
             If an argument cannot be used, or the coupling is unstable and that is not allowed.
         """
-        if isinstance(device, type):
-            raise InputError(f"device must be an object, got the class {device.__name__}: give {device.__name__}()")
-        missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
-        if missing:
-            raise InputError(
-                f"device must have read and command, got {type(device).__name__} without {' and '.join(missing)}: see "
-                "tissue.Sample for what read gives"
-            )
+        require_device(device)
         if tool is None:
             is_organ = isinstance(tissue, Organ)
             tool = ball(diameter_mm=10) if is_organ else ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
         require_match(tissue, tool)
         along = require_direction("axis", np.asarray(axis, dtype=np.float64))
-        if start_mm is None:
-            start_m = 1e-3 * start_above(tissue, along)
-        else:
-            start_m = 1e-3 * require_vector("start_mm", np.asarray(start_mm, dtype=np.float64))
+        start = start_above(tissue, along) if start_mm is None else np.asarray(start_mm, dtype=np.float64)
+        start_m = 1e-3 * require_vector("start_mm", start)
         reach_m = 1e-3 * require_range("reach_mm", reach_mm, 0.5, 100.0, "use 5")
         settings = settings_of(
             device,
@@ -169,12 +160,12 @@ class Loop:
         if force_scale is not None:
             scale = require_positive("force_scale", force_scale, "use 1")
         elif isinstance(tissue, Bone) and isinstance(tool, Cutter):
-            usual = usual_force_N(tissue, tool)
+            usual = loop_parts.usual_force_N(tissue, tool)
             scale = fitted_scale(usual, settings.limits)
             chosen_for = f", chosen for the {usual:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
         ticks = round(require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600") / TICK_S)
         x, y, z = along.tolist()
-        with own_names():
+        with loop_parts.own_names():
             motion, found = device_motion(
                 settings,
                 StaysAt(start_m, (x, y, z)),
@@ -189,16 +180,21 @@ class Loop:
             if isinstance(tissue, Bone):
                 assert isinstance(tool, Cutter)
                 model, self._keep_ready = bone_met(tissue, tool, start_m, along, reach_m=reach_m)
+                clear = clearance_of(keep_clear, tool)
             else:
                 assert isinstance(tool, PressingTool)
                 model, self._keep_ready = organ_met(tissue, tool, start_m, along, reach_m=reach_m)
+                clear = refuse_structures(keep_clear)
         self.notes = dict(tissue.notes) | device_note(Materials.of(materials), tissue, limits=limits, hand=hand)
         self.notes["coupling"] = "; ".join(found)
         cutter = tool if isinstance(tool, Cutter) else None
-        self._motion, self._most, self._closing = motion, ticks, ExitStack()
+        self._motion, self._most, self._closing, self._warned = motion, ticks, ExitStack(), 0
         self._loop = engine.Loop(
-            Parts(motion, model, cutter=cutter), ticks=ticks, output=Output(low_pass_ms=settings.low_pass_ms)
+            Parts(motion, model, cutter=cutter, keep_clear=clear),
+            ticks=ticks,
+            output=Output(low_pass_ms=settings.low_pass_ms),
         )
+        self._limits = model.limits if isinstance(model, BoneModel) else None
         self._loop.place()
         self._row = TickRow(self._loop.trace.columns)
 
@@ -234,6 +230,9 @@ class Loop:
         self._keep_ready(self._motion.tool.tip_m)
         self._loop.wait()
         self._row.values_of_tick = self._loop.trace.rows[self._loop.step()]
+        if self._limits is not None and len(self._limits.passed) > self._warned:
+            warn_of(list(self._limits.passed.values())[self._warned :])
+            self._warned = len(self._limits.passed)
         return self._row
 
     def run(
@@ -246,9 +245,9 @@ class Loop:
         seconds
             How long [s].
         real_time
-            Whether a tick waits until it is due on the wall clock, as a real device needs it: its ticks then run in a
-            second thread, a sample that comes more than 1.5 ms late is not used, and force is taken off a device that
-            got no command for 50 ms. Without it nothing depends on how long a tick takes.
+            Whether a tick waits until it is due on the wall clock, as a real device needs it. Ticks then run in a
+            second thread, a sample more than 1.5 ms late is not used, and a device without a command for 50 ms gets
+            zero force.
         on_tick
             Called after every tick with its number and its row; the run ends where it returns False.
         """

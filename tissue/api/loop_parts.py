@@ -37,6 +37,7 @@ __all__ = [
     "bone_met",
     "organ_met",
     "own_names",
+    "require_device",
     "require_match",
     "settings_of",
     "start_above",
@@ -134,6 +135,18 @@ def start_above(tissue: Bone | Organ, axis: Array) -> Array:
             "place above the surface"
         )
     return np.asarray(found, dtype=np.float64).reshape(-1, 3)[0] + CLEARANCE_MM * axis
+
+
+def require_device(device: object) -> None:
+    """Refuse a device that cannot be read and commanded."""
+    if isinstance(device, type):
+        raise InputError(f"device must be an object, got the class {device.__name__}: give {device.__name__}()")
+    missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
+    if missing:
+        raise InputError(
+            f"device must have read and command, got {type(device).__name__} without {' and '.join(missing)}: see "
+            "tissue.Sample for what read gives"
+        )
 
 
 def require_match(tissue: object, tool: object) -> None:

@@ -132,7 +132,9 @@ class OrganMakers:
             If a surface is not closed or not in millimetres, or an inclusion sticks out or meets another.
         """
         from tissue.builders.organ_filled import of_surface
+        from tissue.builders.organ_made import require_known
 
+        require_known(options)
         stated = {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, "parts": parts, **options}
         inner = inclusions or {}
         return cls(of_surface(surface, stated, edge_mm=edge_mm, inclusions=inner, scale_mm=scale_mm, report=progress))
@@ -179,7 +181,9 @@ class OrganMakers:
             If there is no such label, or a part lies apart from the organ or is too small.
         """
         from tissue.builders.organ_filled import of_labels
+        from tissue.builders.organ_made import require_known
 
+        require_known(options)
         stated = {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio, "parts": parts, **options}
         return cls(of_labels(labels, stated, organ=str(organ), names=names, edge_mm=edge_mm, report=progress))
 

@@ -22,7 +22,7 @@ from tissue.scene.anatomy import MolarAnatomy
 from tissue.scene.named_parts import loaded
 from tissue.scene.registry import CUTTERS
 from tissue.scene.scene import Scene, Stress
-from tissue.scene.tool import ReplayMotion, Tool
+from tissue.scene.tool import PathMotion, ReplayMotion, Tool
 from tissue.scene.unused_keys import is_given
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
         require_outside(volume, cutter, motion)
     if cutter.spin_rad_s == 0.0:
         return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
+    _require_chips(scene, cutter)
     _require_effect(scene, volume)
     there = np.unique(volume.layer).tolist()
     notes["specific cutting energy"] = energy_note(
@@ -113,6 +114,19 @@ def cutter_of(tool: Tool) -> Cutter:
         si, factor = SI[unit]
         sizes[f"{name}_{si}"] = factor * getattr(tool, key)
     return Cutter(loaded(entry.profile)(**sizes), tool.flutes, -tool.spin_rpm * 2.0 * pi / 60.0)
+
+
+def _require_chips(scene: Scene, cutter: Cutter) -> None:
+    """Refuse a given feed at which a tooth would take a chip thicker than the tool's radius."""
+    if scene.device != "none" or not isinstance(scene.motion, PathMotion):
+        return
+    chip_mm, radius_mm = scene.motion.feed_mm_s * cutter.chip_per_speed_s, 1e3 * cutter.profile.radius_m
+    if chip_mm > radius_mm:
+        raise InputError(
+            f"motion.feed_mm_s must leave a tooth chips thinner than the tool's radius of {radius_mm:.3g} mm, got "
+            f"{scene.motion.feed_mm_s:g} which makes them {chip_mm:.3g} mm: use a slower feed, or a higher "
+            "tool.spin_rpm"
+        )
 
 
 def _require_effect(scene: Scene, volume: VoxelVolume) -> None:

@@ -1,6 +1,6 @@
 """An organ as it was made: its mesh, what it is made of and what holds it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypedDict
@@ -20,7 +20,7 @@ from tissue.builders.organ_held import Hold, hold_of
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["MadeOrgan", "OrganOptions", "made_of", "material_of", "of_tetrahedra"]
+__all__ = ["MadeOrgan", "OrganOptions", "made_of", "material_of", "of_tetrahedra", "require_known"]
 
 TOUCHED_EDGES = 3.0
 """Edges around a place that a tool of four edges is expected to touch."""
@@ -154,13 +154,18 @@ def of_tetrahedra(
     return made_of(given.mesh, notes, stated, points_mm=given.points_mm)
 
 
-def material_of(stated: dict[str, Any], part_names: Sequence[str]) -> SoftMaterial:
-    """What an organ of these parts is made of; refusals as of `made_of`."""
-    of_material = {field.name for field in fields(SoftMaterial)}
-    known = of_material | set(OrganOptions.__annotations__)
+def require_known(stated: Iterable[str]) -> None:
+    """Refuse an argument that no organ has, as Python does where arguments are listed."""
+    known = {field.name for field in fields(SoftMaterial)} | set(OrganOptions.__annotations__)
     unknown = [name for name in stated if name not in known]
     if unknown:
         raise TypeError(f"Organ got an unexpected keyword argument {unknown[0]!r}: it takes {', '.join(sorted(known))}")
+
+
+def material_of(stated: dict[str, Any], part_names: Sequence[str]) -> SoftMaterial:
+    """Material of an organ of these parts; refusals as of `made_of`."""
+    require_known(stated)
+    of_material = {field.name for field in fields(SoftMaterial)}
     material = SoftMaterial(
         **{name: value for name, value in stated.items() if name in of_material and value is not None}
     )

@@ -113,9 +113,18 @@ class Cutter:
         """
         return _shells.of((self.profile, spacing_m), lambda: self._shell(spacing_m))
 
-    def _shell(self, spacing_m: float) -> PointShell:
+    @property
+    def has_smooth_surface(self) -> bool:
+        """Whether some of its surface, such as a peg or a flat top, does not cut."""
+        return not all(piece.cutting for piece in self.profile.pieces)
+
+    def smooth_shell(self, *, spacing_m: float) -> PointShell:
+        """Point shell of the surface that does not cut, as of `shell`."""
+        return self._shell(spacing_m, cutting=False)
+
+    def _shell(self, spacing_m: float, *, cutting: bool = True) -> PointShell:
         """The same, made anew."""
-        parts = [spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting]
+        parts = [spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting == cutting]
         points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.concatenate(_patches(points, np.arange(len(points))))
         points, normals, areas = points[order], normals[order], areas[order]

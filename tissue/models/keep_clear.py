@@ -9,9 +9,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.clearance import NODES, TRIANGLES, Tree, clearance
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
+from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_structure
 from kernels.tool_distance import Outline
 from meshes.base.arrays import Array
 from meshes.surfaces.box_tree import BoxTree, box_tree, cut_long
@@ -54,10 +54,10 @@ class _Breach:
     name: str
     least_m: float = inf
     deepest_m: float = 0.0
-    began_tick: int = -1
+    began_s: float | None = None
     deepest_now_m: float = 0.0
-    ticks: int = 0
-    first_tick: int = -1
+    lasted_s: float = 0.0
+    first_s: float | None = None
 
 
 class KeepClear:
@@ -79,6 +79,8 @@ class KeepClear:
         Points of the tool's body in its own frame [m], shape (n, 3), for pictures.
     box_m
         Lowest and highest corner of the box that the tool can reach [m], shape (2, 3); None where it is not known.
+    times_s
+        Times at which the tool is measured [s]; None for one every tick.
 
     Attributes
     ----------
@@ -101,7 +103,9 @@ class KeepClear:
         *,
         points_m: Array | None = None,
         box_m: Array | None = None,
+        times_s: Array | None = None,
     ) -> None:
+        self._times_s = times_s
         self.points_m = np.zeros((1, 3)) if points_m is None else points_m
         self.distances = dict(distances or {})
         self.names = tuple(f"distance_{name}_mm" for name in structures)
@@ -120,29 +124,38 @@ class KeepClear:
                 self._follow(self._breaches[number], distance_m)
         self._tick += 0 if placed else 1
 
+    @property
+    def _now_s(self) -> float:
+        """Time of the present tick, or of the last one that was measured [s]."""
+        if self._times_s is None:
+            return self._tick * TICK_S
+        return float(self._times_s[min(self._tick, len(self._times_s) - 1)])
+
     def _follow(self, breach: _Breach, distance_m: float) -> None:
         """Note where a structure is entered and left."""
         breach.least_m = min(breach.least_m, distance_m)
         if distance_m < 0.0:
-            breach.ticks += 1
-            if breach.began_tick < 0:
-                breach.began_tick, breach.deepest_now_m = self._tick, 0.0
-                breach.first_tick = self._tick if breach.first_tick < 0 else breach.first_tick
+            if breach.began_s is None:
+                breach.began_s, breach.deepest_now_m = self._now_s, 0.0
+                breach.first_s = self._now_s if breach.first_s is None else breach.first_s
                 self.notices.append(f"breached {breach.name}, which is to be kept clear of")
             breach.deepest_now_m = max(breach.deepest_now_m, -distance_m)
             breach.deepest_m = max(breach.deepest_m, -distance_m)
-        elif breach.began_tick >= 0:
+        elif breach.began_s is not None:
             self._leave(breach, "left")
 
     def _leave(self, breach: _Breach, how: str) -> None:
-        lasted = (self._tick - breach.began_tick) * TICK_S
-        self.notices.append(f"{how} {breach.name}: {1e3 * breach.deepest_now_m:.3f} mm deep, {lasted:.3g} s long")
-        breach.began_tick = -1
+        """Note the end of a breach."""
+        assert breach.began_s is not None
+        lasted_s = self._now_s - breach.began_s
+        breach.lasted_s += lasted_s
+        self.notices.append(f"{how} {breach.name}: {1e3 * breach.deepest_now_m:.3f} mm deep, {lasted_s:.3g} s long")
+        breach.began_s = None
 
     def finish(self) -> None:
         """End breaches that last to the end."""
         for breach in self._breaches:
-            if breach.began_tick >= 0:
+            if breach.began_s is not None:
                 self._leave(breach, "still in")
 
     def summary(self) -> dict[str, dict[str, float | None]]:
@@ -151,8 +164,8 @@ class KeepClear:
             breach.name: {
                 "least_distance_mm": 1e3 * breach.least_m,
                 "breach_depth_mm": 1e3 * breach.deepest_m,
-                "breach_s": breach.ticks * TICK_S,
-                "first_breach_s": breach.first_tick * TICK_S if breach.first_tick >= 0 else None,
+                "breach_s": breach.lasted_s,
+                "first_breach_s": breach.first_s,
             }
             for breach in self._breaches
             if breach.least_m < inf
@@ -182,7 +195,7 @@ class _Search:
         )
         inner = inner_points(profile)
         self._launch = SplitLaunch(
-            clearance,
+            distance_to_structure,
             dim=1,
             inputs=[
                 0,

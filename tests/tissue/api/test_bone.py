@@ -280,3 +280,31 @@ def test_a_cut_bone_is_shaded_by_its_shape_not_by_its_voxels(tmp_path):
     angle = np.degrees(np.arccos(np.clip((away * normals[outside]).sum(axis=1), -1.0, 1.0)))
     print(f"\n{np.quantile(angle, [0.5, 0.99]).round(1)} degrees")
     assert np.quantile(angle, 0.99) < 4.0
+
+
+@pytest.mark.parametrize("offset_mm", [(0.0, 0.0, 0.0), (9000.0, -500.0, 200.0)])
+def test_a_surface_is_watertight_and_has_the_volume_that_is_left(tmp_path, offset_mm):
+    """Start less removed volume, which is booked in integers; also 9 m away, before a cut and of what was removed."""
+    whole = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
+    whole.apply_transform(trimesh.transformations.scale_matrix(1.5, direction=[0, 0, 1]))
+    start_mm3 = whole.volume
+    whole.apply_translation(offset_mm)
+    whole.export(tmp_path / "bone.ply")
+    bone = tissue.Bone.from_file(tmp_path / "bone.ply", spacing_mm=0.25, scale_mm=1)
+    far = np.array(offset_mm)
+    for points in ([[7, 0, 5], [4.5, 0, 5], [4.5, 0, -5]], [[0, 7, 0], [1, 5, 2]]):
+        slot(bone, far + points, axis=[1, 0, 0] if points[0][0] else [0, 1, 0])
+    surface = bone.surface()
+    assert surface.n_open_edges == 0 and surface.is_manifold and len(surface.cell_data["layer"]) == surface.n_cells
+    assert surface.volume == pytest.approx(start_mm3 - bone.removed.volume_mm3, rel=2e-3)
+    assert bone.uncut().surface().n_open_edges == 0
+    taken = bone.removed.surface()
+    assert taken.n_open_edges == 0 and taken.volume == pytest.approx(bone.removed.volume_mm3, rel=0.05)
+
+
+def test_a_surface_of_voxels_is_watertight():
+    for bone in (tissue.Bone.block((6, 5, 3), spacing_mm=0.25), tissue.Bone.from_array(np.full((24, 20, 12), 1800.0),
+                 spacing_mm=0.25, origin_mm=(-3, -2.5, -3))):  # fmt: skip
+        for _ in range(2):
+            assert bone.surface().n_open_edges == 0
+            slot(bone, [[-5, 0, -0.4], [5, 0, -0.4]], feed_mm_s=40)

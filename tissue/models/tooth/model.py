@@ -79,7 +79,7 @@ class ToothModel:
         self._motion: ToolMotion | None = None
         self._touched = np.zeros(len(milling.store.places), dtype=np.bool_)
         self._interval_s, self._next_s, self._late_reported, self._stress_lost = interval_s, 0.0, False, False
-        self.notices: list[str] = []
+        self.notices = milling.notices
         if stress is not None and stress.root_guessed:
             self.notices.append("neither ligament nor bone is given: the tooth's lower third is held as its root")
         self._least_m = np.inf

@@ -1,0 +1,225 @@
+"""Signed distance between a tool of revolution and a closed triangle surface.
+
+A branch-and-bound search over a tree of boxes, then over halves of triangles, finds the smallest distance from the tool
+over the surface to `TOLERANCE_M`. Where the two overlap, points of the tool show how deep it lies in the structure.
+"""
+
+import warp as wp
+
+from kernels.tool_distance import TOLERANCE_M, Outline, bounds_over, distance_to_part
+
+__all__ = ["NODES", "TRIANGLES", "Tree", "distance_to_structure"]
+
+wp.set_module_options({"enable_backward": False})
+
+NODES, TRIANGLES = wp.constant(256), wp.constant(256)
+"""Rows of the stacks of nodes and of triangles."""
+MOST_EVALUATIONS = wp.constant(20000)
+"""Evaluations after which a search ends with a coarser lower bound, so that a tick ends."""
+FAR_M = wp.constant(wp.float64(1.0e3))
+LEAF = wp.constant(4)
+
+
+@wp.struct
+class Tree:
+    """Triangles in a complete binary tree of boxes: the children of node i are 2 i + 1 and 2 i + 2."""
+
+    centre: wp.array(dtype=wp.vec3d)  # [node] [m]
+    half: wp.array(dtype=wp.vec3d)  # [node] half sides [m], negative where nothing is
+    corners: wp.array2d(dtype=wp.vec3d)  # [triangle, 3] [m], LEAF triangles a leaf
+    first_leaf: wp.int32
+
+
+@wp.func
+def smallest_in_triangle(
+    outline: Outline,
+    a: wp.vec3d,
+    b: wp.vec3d,
+    c: wp.vec3d,
+    best: wp.float64,
+    evaluations: int,
+    stack: wp.array2d(dtype=wp.vec3d),
+    bound: wp.array(dtype=wp.float64),
+):
+    """Smaller of `best` and the smallest distance over a triangle, the evaluations so far, and what is left open."""
+    smallest = best
+    left = wp.float64(1.0e9)
+    count = evaluations
+    lower, upper = bounds_over(outline, a, b, c, smallest)
+    count += 1
+    smallest = wp.min(smallest, upper)
+    stack[0, 0] = a
+    stack[0, 1] = b
+    stack[0, 2] = c
+    bound[0] = lower
+    held = int(1)
+    while held > 0:
+        held -= 1
+        if bound[held] < smallest - TOLERANCE_M:
+            if count >= MOST_EVALUATIONS or held + 2 > TRIANGLES:
+                left = wp.min(left, bound[held])
+            else:
+                p = stack[held, 0]
+                q = stack[held, 1]
+                r = stack[held, 2]
+                pq = wp.length_sq(q - p)
+                qr = wp.length_sq(r - q)
+                rp = wp.length_sq(p - r)
+                # Turn the triangle so that its longest edge runs from q to r.
+                if pq > qr and pq >= rp:
+                    turned = r
+                    r = q
+                    q = p
+                    p = turned
+                elif rp > qr:
+                    turned = q
+                    q = r
+                    r = p
+                    p = turned
+                middle = wp.float64(0.5) * (q + r)
+                for half in range(2):
+                    end = wp.where(half == 0, q, r)
+                    lower, upper = bounds_over(outline, p, end, middle, smallest)
+                    smallest = wp.min(smallest, upper)
+                    stack[held, 0] = p
+                    stack[held, 1] = end
+                    stack[held, 2] = middle
+                    bound[held] = lower
+                    held += 1
+                count += 2
+    return smallest, count, left
+
+
+@wp.func
+def in_tool(motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
+    """A point of the structure's frame in the tool's frame."""
+    p = point - wp.vec3d(motion[0, 0], motion[0, 1], motion[0, 2])
+    x = motion[1, 0] * p[0] + motion[1, 1] * p[1] + motion[1, 2] * p[2]
+    y = motion[2, 0] * p[0] + motion[2, 1] * p[1] + motion[2, 2] * p[2]
+    z = motion[3, 0] * p[0] + motion[3, 1] * p[1] + motion[3, 2] * p[2]
+    return wp.vec3d(x, y, z)
+
+
+@wp.func
+def node_bound(outline: Outline, tree: Tree, motion: wp.array2d(dtype=wp.float64), node: int):
+    """Lower bound of the distance over a node's box."""
+    half = tree.half[node]
+    bound = wp.float64(1.0e9)
+    if half[0] >= wp.float64(0.0):
+        centre = in_tool(motion, tree.centre[node])
+        for part in range(outline.convex.shape[0]):
+            value, gradient, _bend = distance_to_part(outline, part, centre)
+            drop = wp.length(half)
+            if outline.convex[part] == 1:
+                drop = wp.float64(0.0)
+                for axis in range(3):
+                    slope = (
+                        gradient[0] * motion[1, axis] + gradient[1] * motion[2, axis] + gradient[2] * motion[3, axis]
+                    )
+                    drop += wp.abs(slope) * half[axis]
+            bound = wp.min(bound, value - drop)
+    return bound
+
+
+@wp.func
+def over_surface(
+    outline: Outline,
+    tree: Tree,
+    motion: wp.array2d(dtype=wp.float64),
+    last_leaf: wp.array(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.int32),
+    node_bounds: wp.array(dtype=wp.float64),
+    stack: wp.array2d(dtype=wp.vec3d),
+    bounds: wp.array(dtype=wp.float64),
+):
+    """Lower bound of the smallest distance from the tool over the surface [m], `TOLERANCE_M` below it at most."""
+    smallest = wp.float64(1.0e9)
+    left = wp.float64(1.0e9)
+    count = int(0)
+    # The leaf that was nearest at the last tick prunes most of the tree.
+    for held in range(2):
+        nodes[held] = wp.where(held == 0, 0, last_leaf[0])
+        node_bounds[held] = wp.float64(-1.0e9)
+    height = int(2)
+    while height > 0:
+        height -= 1
+        node = nodes[height]
+        if node_bounds[height] >= smallest - TOLERANCE_M:
+            continue
+        if count >= MOST_EVALUATIONS:
+            left = wp.min(left, node_bounds[height])
+            continue
+        if node >= tree.first_leaf:
+            before = smallest
+            first = (node - tree.first_leaf) * LEAF
+            for t in range(first, wp.min(first + LEAF, tree.corners.shape[0])):
+                a = in_tool(motion, tree.corners[t, 0])
+                b = in_tool(motion, tree.corners[t, 1])
+                c = in_tool(motion, tree.corners[t, 2])
+                smallest, count, open_bound = smallest_in_triangle(outline, a, b, c, smallest, count, stack, bounds)
+                left = wp.min(left, open_bound)
+            if smallest < before:
+                last_leaf[0] = node
+        else:
+            near = 2 * node + 1
+            far = 2 * node + 2
+            near_bound = node_bound(outline, tree, motion, near)
+            far_bound = node_bound(outline, tree, motion, far)
+            count += 2
+            nearer_first = near_bound <= far_bound
+            nodes[height] = wp.where(nearer_first, far, near)
+            node_bounds[height] = wp.max(near_bound, far_bound)
+            nodes[height + 1] = wp.where(nearer_first, near, far)
+            node_bounds[height + 1] = wp.min(near_bound, far_bound)
+            height += 2
+    return wp.min(smallest - TOLERANCE_M, left)
+
+
+@wp.func
+def signed_depth(mesh: wp.uint64, motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
+    """Signed distance from the structure [m] of a point in the tool's frame, negative inside."""
+    x = motion[0, 0] + motion[1, 0] * point[0] + motion[2, 0] * point[1] + motion[3, 0] * point[2]
+    y = motion[0, 1] + motion[1, 1] * point[0] + motion[2, 1] * point[1] + motion[3, 1] * point[2]
+    z = motion[0, 2] + motion[1, 2] * point[0] + motion[2, 2] * point[1] + motion[3, 2] * point[2]
+    at = wp.vec3(float(x), float(y), float(z))
+    query = wp.mesh_query_point_sign_winding_number(mesh, at, float(FAR_M))
+    found = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+    return wp.float64(query.sign * wp.length(found - at))
+
+
+@wp.kernel
+def distance_to_structure(
+    first_thread: int,
+    outline: Outline,
+    tree: Tree,
+    mesh: wp.uint64,
+    motion: wp.array2d(dtype=wp.float64),  # rows: tip [m]; tool axes x, y, z, in the structure's frame
+    inner: wp.array(dtype=wp.vec4d),  # points inside the tool and their depth in it [m]
+    path: wp.array(dtype=wp.float64),  # by how much the distance can change from the first point to each [m]
+    inner_slack: wp.float64,  # by how much these points may underestimate a depth [m]
+    # scratch
+    last_leaf: wp.array(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.int32),
+    node_bounds: wp.array(dtype=wp.float64),
+    stack: wp.array2d(dtype=wp.vec3d),
+    bounds: wp.array(dtype=wp.float64),
+    # out
+    distance_out: wp.array(dtype=wp.float64),  # [m], negative where tool and structure overlap
+):
+    """Lower bound of the distance between tool and structure, run by one thread."""
+    smallest = over_surface(outline, tree, motion, last_leaf, nodes, node_bounds, stack, bounds)
+    depth = inner[0][3]
+    overlap = signed_depth(mesh, motion, wp.vec3d(inner[0][0], inner[0][1], inner[0][2])) - depth
+    if smallest < wp.float64(0.0) or overlap < -depth:
+        # The surfaces meet, or the whole tool is inside: see how deep the tool's own points lie in the structure.
+        deepest = wp.min(overlap, smallest)
+        last = int(0)
+        value = overlap
+        for j in range(1, inner.shape[0]):
+            if path[j] - path[last] >= value - deepest:
+                point = inner[j]
+                value = signed_depth(mesh, motion, wp.vec3d(point[0], point[1], point[2])) - point[3]
+                deepest = wp.min(deepest, value)
+                last = j
+        smallest = wp.min(smallest, deepest - inner_slack)
+    distance_out[0] = smallest
