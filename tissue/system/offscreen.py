@@ -12,6 +12,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from time import monotonic, sleep
+from typing import IO
 
 from meshes.base.errors import InputError
 from tissue.system.child import CHECK_S, HangDetector, child_command
@@ -114,19 +115,29 @@ def _last_share(printed: Path) -> float:
 
 
 def _awaited(
-    process: "subprocess.Popen[bytes]", sent: bytes | None, longest_s: float, poll: Callable[[], object]
+    process: "subprocess.Popen[bytes]", sent: bytes, longest_s: float, poll: Callable[[], object]
 ) -> tuple[str, str | None]:
     """Let a process draw: its output, and why it was ended, or None; ``poll`` is called meanwhile."""
     detector = HangDetector(lambda: [process.pid], longest_s=longest_s)
+    # In a thread, since `communicate` forgets the rest of what is sent once it has timed out.
+    stream, process.stdin = process.stdin, None
+    threading.Thread(target=_send, args=(stream, sent), daemon=True).start()
     while True:
         try:
-            return process.communicate(sent, timeout=CHECK_S)[1].decode("utf-8", "replace"), None
+            return process.communicate(timeout=CHECK_S)[1].decode("utf-8", "replace"), None
         except subprocess.TimeoutExpired:
-            sent, late = None, detector.check()  # the rest of what is sent goes with the next call
+            late = detector.check()
             poll()
         if late is not None:
             process.kill()
             return process.communicate()[1].decode("utf-8", "replace"), late
+
+
+def _send(stream: IO[bytes] | None, sent: bytes) -> None:
+    """Write to the standard input of a process, which may end before it has read all."""
+    assert stream is not None
+    with suppress(OSError, ValueError), stream:
+        stream.write(sent)
 
 
 def display_problem() -> str | None:
