@@ -59,7 +59,7 @@ def require_shallow(value: object) -> None:
         If they are.
     """
     level: list[object] = [value]
-    for _ in range(DEEPEST + 1):
+    for _ in range(DEEPEST):
         tables = [inner for each in level if isinstance(each, dict) for inner in each.values()]
         lists = [inner for each in level if isinstance(each, list) for inner in each]
         level = [inner for inner in (*tables, *lists) if isinstance(inner, dict | list)]
