@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, by, is_folder, require_file
+from meshes.base.text_tables import read_toml
 from meshes.images.data import first_bytes
 from meshes.images.frame import Image
 from meshes.images.itk import header_lines
@@ -217,7 +218,7 @@ def _given(names: str | Path) -> dict[int, str]:
         )
     require_file(file, "names of labels")
     try:
-        table = tomllib.loads(file.read_text("utf-8"))
+        table = read_toml(file.read_text("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
         raise InputError(f"names must be readable TOML, got {file.name} which is not: {problem}") from problem
     labels = table.get("labels")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, as_vector, require_file
 from meshes.base.text_numbers import number_in, require_distinct_columns
+from meshes.base.text_tables import read_json
 
 __all__ = ["TO_LPS", "MarkedSite", "Markup", "read_curve", "read_markups", "read_site"]
 
@@ -79,7 +80,7 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     if not file.name.lower().endswith(".json"):
         raise InputError(f"markups must be a .mrk.json or .fcsv file, got {file}: save them from 3D Slicer")
     try:
-        listed = json.loads(file.read_text("utf-8"))["markups"]
+        listed = read_json(file.read_text("utf-8"))["markups"]
         found = tuple(_markup(one, file) for one in listed)
     except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, AttributeError):
         raise InputError(f"markups must be those of 3D Slicer, got other JSON in {file}: save them again") from None

@@ -1,5 +1,6 @@
 """Scenes broken at random: each loads, or is refused in one sentence; some of those that load are built and run."""
 
+import os
 import random
 import tomllib
 from copy import deepcopy
@@ -12,6 +13,8 @@ from scene_kinds import kinds, write_files
 from tissue import InputError, load_scene, scene_names, scene_text, simulate
 from tissue.scene.load import saved_text
 
+SEED = os.environ.get("TISSUE_FUZZ_SEED", "")
+"""Seed of other mutations than those of every day; without it a scene's number is its seed."""
 WILD = (
     0, -1, 1, 1e300, -1e300, 1e-300, float("nan"), float("inf"), -float("inf"), 2**63, -(2**63), True, False, "", "0.1",
     "none", "ä\u202e\x07", "a" * 5000, [], [0.0], [0, 0, 0], [[0, 0, 0]], [1, "x", None], {}, {"kind": "path"},
@@ -92,7 +95,7 @@ def mutated_text(text, chance):
 
 def written(number, tables, folder):
     """The file of the mutated scene of a number."""
-    chance = random.Random(number)
+    chance = random.Random(f"{SEED} {number}" if SEED else number)
     name = chance.choice(sorted(tables))
     text = tables[name] if isinstance(tables[name], str) else tomli_w.dumps(tables[name])
     if chance.random() < 0.6:

@@ -1,11 +1,14 @@
 """A trainee's run held against a reference of the same scene, as `tissue assess` does: `tissue.assess`."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from meshes.base.errors import InputError
 from tissue.api.run import Run, open_run
 from tissue.evaluation import assessment as engine
 from tissue.evaluation.assessment_files import write_assessment
+from tissue.scene.scene import Scene
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.trace import Table
 
@@ -53,7 +56,7 @@ def assess(
     Raises
     ------
     InputError
-        If the runs are of two scenes, hold no trace, or never touch.
+        If the runs are of two tasks (another anatomy, tool or material), hold no trace, or never touch.
     """
     found = engine.assess(
         _held(trainee),
@@ -73,8 +76,12 @@ class _Held:
     summary: Summary
     trace: Table
     complete: bool
+    scene: Scene | None
 
 
 def _held(run: Run | str | Path) -> _Held:
     run = run if isinstance(run, Run) else open_run(run)
-    return _Held(run.path, run.summary, run.trace, run.status == "complete")
+    scene = None
+    with suppress(InputError):  # a run whose scene.toml is gone can be assessed all the same
+        scene = run.scene
+    return _Held(run.path, run.summary, run.trace, run.status == "complete", scene)

@@ -11,6 +11,7 @@ from tissue.api.html import table_html
 from tissue.api.run import Run, open_run
 from tissue.api.run_figures import figures_of
 from tissue.api.trace import needed
+from tissue.evaluation.same_task import path_note
 from tissue.scene.scene import Scene
 from tissue.system.owned_folder import owned_folder, require_folder
 
@@ -210,6 +211,18 @@ def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
     for name, run in runs.items():
         if run.status != "complete":
             yield f"{name} did not come to its end: it is {run.status}"
+        if note := path_note(run.summary):
+            yield f"the path of {name} is {note}"
+    lasted = {name: round(float(run.summary.get("simulated_s", 0.0)), 3) for name, run in runs.items()}
+    if len(set(lasted.values())) > 1:
+        yield "simulated time differs, so that peaks, means and volumes are of runs of different lengths: " + ", ".join(
+            f"{name} {time_s:g} s" for name, time_s in lasted.items()
+        )
+    names = {name: run.scene.name for name, run in runs.items()}
+    if len(set(names.values())) > 1:
+        yield "the runs are of different scenes: " + ", ".join(f"{name} {scene}" for name, scene in names.items())
+    if len({run.scene.constants.key for run in runs.values()}) > 1:
+        yield "the constants of the materials differ: see the key materials of each scene"
     for entry, words in OUTSIDE.items():
         values = [str(run.summary.get(entry)) for run in runs.values()]
         if len(set(values)) > 1:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
+from meshes.base.text_tables import read_toml
 from tissue.materials.constants import Entry, add_material, constants, listed
 from tissue.scene.named_parts import nearest, shown
 from tissue.scene.registry import CUTTERS, CUTTING_MATERIALS, ORGAN_MATERIALS, SCENES, TABLES
@@ -212,7 +213,7 @@ def _table(path: Path, kind: str) -> dict[str, Any]:
     """A TOML file."""
     require_regular(path)
     try:
-        return tomllib.loads(path.read_text("utf-8"))
+        return read_toml(path.read_text("utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{kind} must be a TOML file, got {path} ({reason}): check the path and mend it") from None

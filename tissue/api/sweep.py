@@ -11,6 +11,7 @@ from typing import Any
 from meshes.base.errors import InputError, require_range
 from meshes.base.file_version import package_version
 from meshes.base.progress import Progress
+from meshes.base.text_tables import read_json
 from meshes.base.whole_file import whole_file
 from tissue.api.progress import Bar, reporting
 from tissue.api.simulate import simulate
@@ -140,7 +141,7 @@ def _read(path: Path) -> dict[str, str]:
     if not path.is_file():
         return {}
     try:
-        held: Any = json.loads(path.read_text("utf-8"))
+        held: Any = read_json(path.read_text("utf-8"))
         scenes = held["scenes"]
         if held["format"] != FORMAT or not all(isinstance(text, str) for text in scenes.values()):
             raise ValueError(path)

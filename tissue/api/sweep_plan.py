@@ -3,7 +3,8 @@
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import islice, product
+from math import prod
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ __all__ = ["Planned", "parse_values", "planned"]
 
 LONGEST_NAME = 24
 """Letters of a value in the name of a folder; longer ones, and lists, are numbered."""
+MOST_RUNS = 10_000
+"""Most runs of one sweep: of a second each they take three hours, and their scenes are checked in a minute."""
 BRACKETS = {"]": "[", "}": "{"}
 
 
@@ -48,9 +51,12 @@ def planned(scene: Scene | str | Path, changes: Mapping[str, Iterable[object]]) 
     Raises
     ------
     InputError
-        If a key has no values, or no combination makes a scene.
+        If a key has no values, there are more than `MOST_RUNS` combinations, or no combination makes a scene.
     """
     listed = {key: _listed(key, values) for key, values in changes.items()}
+    count = prod(len(values) for values in listed.values())
+    if count > MOST_RUNS:
+        raise InputError(f"a sweep must have at most {MOST_RUNS} runs, got {count} combinations: give fewer values")
     fixed = {key: values[0] for key, values in listed.items() if len(values) == 1}
     swept = {key: values for key, values in listed.items() if len(values) > 1}
     base = scene if isinstance(scene, Scene) else load_scene(scene)
@@ -75,7 +81,10 @@ def _listed(key: str, values: Iterable[object]) -> list[object]:
     """Values of a key as Python has them, of NumPy's arrays too."""
     if isinstance(values, np.ndarray):
         values = values.tolist()
-    if isinstance(values, str | Mapping) or not isinstance(values, Iterable) or not (found := list(values)):
+    if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
+        raise InputError(f"{key} must be given as a list of values, got {values}: use for example [1.0, 2.0]")
+    found = list(islice(values, MOST_RUNS + 1))
+    if not found:
         raise InputError(f"{key} must be given as a list of values, got {values}: use for example [1.0, 2.0]")
     return [each.item() if isinstance(each, np.generic) else each for each in found]
 

@@ -11,6 +11,7 @@ from tissue.api.run import Run, open_run
 from tissue.api.run_figures import figures_of
 from tissue.api.tables import write_table
 from tissue.api.trace import needed
+from tissue.evaluation.same_task import path_note
 from tissue.simulation.run_summary import read_summary
 
 if TYPE_CHECKING:
@@ -52,6 +53,11 @@ class SweptRun:
         """Its figures, by names with units; none of a run that has a problem."""
         return {} if self.problem else figures_of(read_summary(self.path))
 
+    @cached_property
+    def note(self) -> str:
+        """Why it did not finish its path; empty where it did or has a problem."""
+        return "" if self.problem else path_note(read_summary(self.path))
+
     def open(self) -> Run:
         """The run, read back."""
         return open_run(self.path)
@@ -82,12 +88,17 @@ class Sweep:
         return {each.name: each.problem for each in self.runs if each.problem}
 
     @property
+    def notes(self) -> dict[str, str]:
+        """Why runs did not finish their paths, by run."""
+        return {each.name: f"the path is {each.note}" for each in self.runs if each.note}
+
+    @property
     def figure_names(self) -> list[str]:
         """Figures that the runs have, the unit in each name."""
         return list(dict.fromkeys(name for each in self.runs for name in each.figures))
 
     def rows(self) -> tuple[list[str], list[list[object]]]:
-        """Titles and rows: the values, the figures, the problem, and the folder of each run."""
+        """Titles and rows: the values, the figures, the problem, the folder and the note of each run."""
         names = self.figure_names
         rows = [
             [
@@ -95,10 +106,11 @@ class Sweep:
                 *(each.figures.get(name) for name in names),
                 each.problem,
                 each.name,
+                each.note,
             ]
             for each in self.runs
         ]
-        return [*self.keys, *names, "problem", "run"], rows
+        return [*self.keys, *names, "problem", "run", "note"], rows
 
     def to_pandas(self) -> "pandas.DataFrame":
         """The table of `rows`.
@@ -176,6 +188,7 @@ class Sweep:
     def _repr_html_(self) -> str:
         titles, rows = self.texts()
         failures = table_html(self.failures.items(), titles=("run", "problem")) if self.failures else ""
+        failures += table_html(self.notes.items(), titles=("run", "note")) if self.notes else ""
         return f"<div>{table_html(rows, titles=titles, caption=repr(self).strip('<>'))}{failures}</div>"
 
 

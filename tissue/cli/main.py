@@ -22,6 +22,7 @@ from cyclopts import (
 import tissue
 from tissue.cli.commands import COMMANDS
 from tissue.cli.completion import completion_command
+from tissue.cli.streams import has_working_folder, leave_pipe, open_streams
 from tissue.cli.terminal import console, problems
 from tissue.system.child import HelperLostError
 from tissue.system.stopping import Terminated, terminated_as_exception
@@ -52,7 +53,10 @@ CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG)
 
 
 def main() -> NoReturn:
-    """Entry point: bad input becomes one sentence and exit code 2, Ctrl-C ends with 130, SIGTERM with 143."""
+    """Run the command: bad input becomes one sentence and exit code 2, Ctrl-C ends with 130, SIGTERM with 143."""
+    open_streams()
+    if not has_working_folder():
+        _refuse("the working directory must exist, got one that was removed: change to another directory")
     try:
         with terminated_as_exception(), _plain_warnings():
             try:
@@ -68,9 +72,14 @@ def main() -> NoReturn:
         if not isinstance(error, InputError):
             raise
         _refuse(str(error))
+    except BrokenPipeError:
+        leave_pipe()
     except OSError as error:
         if error.errno not in FULL + CLOSED:
-            raise
+            if not error.filename or not error.strerror:
+                raise
+            _refuse(f"files must stay as they are while a command runs, got {error.strerror.lower()} at "
+                    f"{error.filename}: check this path")  # fmt: skip
         required, remedy = (
             ("have space", "free some space or choose") if error.errno in FULL else ("be writable", "choose")
         )
@@ -81,10 +90,10 @@ def main() -> NoReturn:
         _refuse(f"{lost}: run it again", code=1)
     except KeyboardInterrupt as stopped:
         seen = ", see `tissue view`" if sys.argv[1:2] == ["run"] else ""
-        sentence = (
-            next(filter(lambda each: isinstance(each, str), stopped.args), "")
-            or f"stopped: what was written so far is kept{seen}"
-        )
+        kept = f"stopped: what was written so far is kept{seen}"
+        if not _has_written():
+            kept = "stopped before anything was written"
+        sentence = next(filter(lambda each: isinstance(each, str), stopped.args), "") or kept
         with suppress(OSError):  # such as a terminal that was closed
             problems.print(sentence)
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
@@ -114,6 +123,12 @@ def _print_offered() -> None:
 
     if offered := offered_names():
         console.print("Installed packages add " + "; ".join(f"{k} {', '.join(names)}" for k, names in offered.items()))
+
+
+def _has_written() -> bool:
+    """Return whether an output folder holds a file of this command."""
+    folders = sys.modules.get("tissue.system.owned_folder")  # brings NumPy, which help does without
+    return folders is not None and bool(folders.anything_claimed())
 
 
 def _place(file: object) -> tuple[str, str]:

@@ -73,6 +73,8 @@ def sweep(
     console.print(table)
     for name, problem in found.failures.items():
         problems.print(f"{name}: {problem}")
+    for name, note in found.notes.items():
+        problems.print(f"note: {name}: {note}")
     console.print(f"files in {folder}: {', '.join(sorted(path.name for path in folder.iterdir() if path.is_file()))}")
     if found.failures:
         sys.exit(1)

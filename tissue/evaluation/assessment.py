@@ -9,6 +9,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
+from tissue.evaluation.same_task import path_note, require_same_task, scene_notes
 from tissue.evaluation.statistics.alignment import aligned_rows, deviation_mm
 from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
@@ -17,6 +18,7 @@ from tissue.evaluation.statistics.metrics import (
     spectral_arc_length,
 )
 from tissue.models.tissue_model import TICK_S
+from tissue.scene.scene import Scene
 from tissue.simulation.depth_map import tool_axes
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.trace import Table
@@ -42,6 +44,8 @@ class AssessedRun(Protocol):
     def trace(self) -> Table | None: ...
     @property
     def complete(self) -> bool: ...
+    @property
+    def scene(self) -> Scene | None: ...
 
 
 class Figures(TypedDict):
@@ -130,6 +134,8 @@ class Assessment:
     deviation, force, depth
         Distance from the reference's path at the aligned place [mm], size of the force [N], and depth along the
         reference tool's axis from its first contact [mm].
+    notes
+        Differences between the two runs that limit what the figures mean, a sentence each.
     """
 
     figures: Figures
@@ -139,6 +145,7 @@ class Assessment:
     deviation: Quantity
     force: Quantity
     depth: Quantity
+    notes: tuple[str, ...] = ()
 
 
 def assess(
@@ -168,11 +175,12 @@ def assess(
     Raises
     ------
     InputError
-        If the runs are of two scenes, hold no trace, or never touch.
+        If the runs are of two tasks (another anatomy, tool or material), hold no trace, or never touch.
     """
     scenes = [each.summary.get("scene") for each in (trainee, reference)]
     if scenes[0] != scenes[1]:
         raise InputError(f"run and reference must be of one scene, got {scenes[0]} and {scenes[1]}: run the same scene")
+    require_same_task(trainee.scene, reference.scene)
     mine, theirs = _trace(trainee, "run"), _trace(reference, "reference")
     path, model = mine.vectors("tool", "mm"), theirs.vectors("tool", "mm")
     rows = aligned_rows(path, model)
@@ -206,7 +214,8 @@ def assess(
     known = {each["what"] for each in reference.summary.get("events", ())}
     events = [(each["time_s"], each["what"]) for each in trainee.summary.get("events", ()) if each["what"] not in known]
     breaches = sorted((each for one in quantities for each in one.breaches(time)), key=lambda each: each.start_s)
-    return Assessment(figures, tuple(breaches), tuple(events), time, *quantities)
+    notes = (*scene_notes(trainee.scene, reference.scene), *_unfinished(trainee, reference))
+    return Assessment(figures, tuple(breaches), tuple(events), time, *quantities, notes)
 
 
 def assessment_lines(found: Assessment) -> list[str]:
@@ -228,7 +237,14 @@ def assessment_lines(found: Assessment) -> list[str]:
         *([f"and {more} more breaches"] if more > 0 else []),
         *([] if found.breaches else ["no limit was passed"]),
         *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),
+        *(f"note: {note}" for note in found.notes),
     ]
+
+
+def _unfinished(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
+    """Return sentences on runs that end before their paths do."""
+    runs = {"trainee": trainee, "reference": reference}
+    return [f"the path of the {who} is {note}" for who, run in runs.items() if (note := path_note(run.summary))]
 
 
 def _trace(run: AssessedRun, name: str) -> Table:

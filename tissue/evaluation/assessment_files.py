@@ -42,6 +42,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
             "force_N": found.force.limit, "deviation_mm": found.deviation.limit, "depth_mm": found.depth.limit
         },
         "breaches": [asdict(each) for each in found.breaches],
+        "notes": list(found.notes),
         "events": [{"time_s": at, "what": what} for at, what in found.events],
     }  # fmt: skip
     with owned_folder(folder, "assessment", FILES, overwrite=overwrite):

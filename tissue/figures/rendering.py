@@ -1,6 +1,6 @@
 """Shaded pictures of coloured surfaces, drawn by ``python -m tissue.figures.rendering FOLDER`` in a process."""
 
-import json
+import pickle
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -102,19 +102,15 @@ def render(
     Pictures of shape (height, width, 3), or why they could not be drawn.
     """
     with TemporaryDirectory(prefix="tissue-") as name:
-        folder = Path(name)
 
-        def prepare() -> None:
-            surfaces, cameras = zip(*make(), strict=True)
-            for index, surface in enumerate(surfaces):
-                surface.save(folder / f"{index}.vtk")
-            (folder / "cameras.json").write_text(json.dumps([asdict(one) for one in cameras]), "utf-8")
+        def prepare() -> bytes:
+            return pickle.dumps([(surface, asdict(camera)) for surface, camera in make()])
 
         averaged = 1 if fine else OVERSAMPLING
         problem = draw_apart("tissue.figures.rendering", name, str(averaged), str(ambient), prepare=prepare)
         if problem is not None:
             return problem
-        with np.load(folder / "pictures.npz") as drawn:
+        with np.load(Path(name) / "pictures.npz") as drawn:
             return list(drawn.values())
 
 
@@ -137,21 +133,16 @@ def side_by_side(
 
 
 def _main(name: str, averaged: str, ambient: str) -> None:
-    """Draw the surfaces in a folder as soon as a line on the standard input announces them."""
+    """Draw the surfaces that come on the standard input, and write the pictures into a folder."""
     import pyvista
 
     warm = pyvista.Plotter(off_screen=True, window_size=[8, 8])  # loads OpenGL while the surfaces are still being made
     warm.add_mesh(pyvista.Triangle())
     warm.screenshot(None, return_img=True)
     warm.close()
-    sys.stdin.readline()
-    folder = Path(name)
-    cameras = [Camera(**one) for one in json.loads((folder / "cameras.json").read_text("utf-8"))]
-    surfaces = (pyvista.PolyData(folder / f"{index}.vtk") for index in range(len(cameras)))
-    drawn = [
-        _draw(surface, camera, int(averaged), float(ambient)) for surface, camera in zip(surfaces, cameras, strict=True)
-    ]
-    np.savez(folder / "pictures.npz", *drawn, allow_pickle=False)
+    received = pickle.load(sys.stdin.buffer)
+    drawn = [_draw(surface, Camera(**camera), int(averaged), float(ambient)) for surface, camera in received]
+    np.savez(Path(name) / "pictures.npz", *drawn, allow_pickle=False)
 
 
 def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float) -> NDArray[np.uint8]:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from meshes.base.text_tables import read_json
 from tissue.hardware.adapter import HardwareSample
 from tissue.motion.quaternion import Quaternion, Triple
 
@@ -44,8 +45,8 @@ class ServiceState:
         What is no JSON, or not built as a frame is, changes nothing.
         """
         try:
-            frame = json.loads(text)
-        except (ValueError, RecursionError):
+            frame = read_json(text)
+        except ValueError:
             return False
         if not isinstance(frame, dict):
             return False
@@ -109,7 +110,7 @@ def spelling_of(version: tuple[int, int] | None, *, has_session: bool) -> str:
 def version_in(text: str | bytes) -> tuple[int, int] | None:
     """Major and minor version in what the service answers to ``/version``; None where there is none."""
     try:
-        answer = json.loads(text)
+        answer = read_json(text)
     except ValueError:
         return None
     inner = _part(answer, "data") or answer
@@ -132,7 +133,7 @@ def force_frame(device_id: str, force_N: Triple, spelling: str) -> str:
 
 def opening_frame(device_id: str, spelling: str) -> str:
     """The first frame that is sent: the session's name, and no force."""
-    frame = json.loads(force_frame(device_id, (0.0, 0.0, 0.0), spelling))
+    frame = read_json(force_frame(device_id, (0.0, 0.0, 0.0), spelling))
     return json.dumps({"session": {"configure": {"profile": {"name": PROFILE}}}} | frame)
 
 

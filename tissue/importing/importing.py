@@ -15,7 +15,15 @@ from meshes.ct.labelled_bone import Box
 from meshes.ct.labels import Labels, on_grid_of
 from meshes.images.frame import Image
 from tissue.importing.bone import ImportedBone, imported_bone
-from tissue.importing.folder import SCENE, Imported, import_folder, write_density, write_labels, write_surface
+from tissue.importing.folder import (
+    RECORD,
+    SCENE,
+    Imported,
+    import_folder,
+    write_density,
+    write_labels,
+    write_surface,
+)
 from tissue.importing.kept_clear import kept_clear
 from tissue.importing.organ import import_organ
 from tissue.importing.path import import_path
@@ -24,6 +32,7 @@ from tissue.importing.placing import Placed, placed
 from tissue.importing.request import Coordinates, ImportRequest, Point
 from tissue.importing.scene_text import scene_name, scene_text
 from tissue.importing.tooth import import_tooth
+from tissue.system.owned_folder import require_folder
 
 __all__ = ["Imported", "import_ct"]
 
@@ -111,6 +120,7 @@ def import_ct(
     InputError
         If the image or what is asked of it cannot be used, or the folder holds another import.
     """
+    require_folder(Path(out), "import", (SCENE, RECORD), overwrite=overwrite)  # before minutes of reading
     request = ImportRequest(
         Path(source), None if labels is None else Path(labels), label_names, region, crop_mm, threshold, series,
         spacing_mm, density, site, normal, coordinates, None if path is None else Path(path), feed_mm_s,

@@ -15,6 +15,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
+from meshes.base.text_tables import read_toml
 from tissue.materials.constants import Constant, CuttingCoefficients, changed_coefficients, constants, listed
 from tissue.materials.cutting import CUT_AS
 
@@ -153,8 +154,8 @@ Materials.cited = Materials()
 @lru_cache(maxsize=64)
 def _parsed(text: str, path: str) -> Materials:
     try:
-        tables = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        tables = read_toml(text)
+    except tomllib.TOMLDecodeError as error:
         raise InputError(f"materials must be valid TOML, got {str(error)[:200].lower()} in {path}: mend it") from None
     correlation, given = tables.pop("correlation", None), dict[str, Constant]()
     for table, materials in tables.items():

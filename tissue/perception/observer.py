@@ -13,6 +13,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version, require_version
+from meshes.base.text_tables import read_json
 from meshes.base.whole_file import whole_file
 from tissue.system.outputs import require_new_file
 
@@ -195,7 +196,7 @@ def read_observer(path: Path) -> Observer:
     calibrate = "write one with tissue calibrate --out"
     require_regular(path)
     try:
-        stored = json.loads(path.read_text("utf-8"))
+        stored = read_json(path.read_text("utf-8"))
     except OSError as problem:
         raise InputError(
             f"observer must be a file that can be read, got {path} ({problem.strerror}): {calibrate}"

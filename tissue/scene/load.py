@@ -10,8 +10,9 @@ from pydantic import BaseModel, ValidationError
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version, require_version
+from meshes.base.text_tables import DEEPEST, read_toml, require_shallow
 from tissue.scene.messages import sentence
-from tissue.scene.named_parts import nearest
+from tissue.scene.named_parts import nearest, shown
 from tissue.scene.plugins import refusal
 from tissue.scene.registry import PERCEPTIONS, SCENES
 from tissue.scene.scene import PARTS_WITH_FILES, Scene, is_file_key
@@ -81,12 +82,13 @@ def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None
             path = SCENES[str(source)]
             folder = path.parent
     try:
-        table = tomllib.loads(text)
+        table = read_toml(text)
     except tomllib.TOMLDecodeError as error:
         message = f"{error}"
         raise InputError(
             f"scene must be valid TOML, got {message[:1].lower()}{message[1:]} in {path}: mend it there"
         ) from None
+    _require_no_nul(table)
     kept = "tissue" in table or ("format" not in table and table.keys() >= KEPT)
     written = {"format": 1} | {name: table.pop(name) for name in ("format", "tissue") if name in table}
     require_version("scene", written, FORMAT, where=path, remedy="leave format out")
@@ -132,6 +134,11 @@ def _replaced(table: dict[str, object], overrides: Mapping[str, object]) -> Scen
 
     A file's own key that has no effect even without them stays, and so does one of theirs: both are faults.
     """
+    try:
+        require_shallow(dict(overrides))
+    except RecursionError:
+        raise InputError(f"values must not nest more than {DEEPEST} lists, got more: write the value plainly") from None
+    _require_no_nul(overrides)
     faults = _table_faults(table) if overrides else None
     placed = deepcopy(table)
     # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
@@ -152,6 +159,18 @@ def _table_faults(table: Mapping[str, object]) -> set[str] | None:
         return set(refused_keys(_validated(table)))
     except InputError:
         return None
+
+
+def _require_no_nul(value: object, key: str = "") -> None:
+    """Refuse texts with the character NUL, which no name of a file can hold."""
+    if isinstance(value, str) and "\0" in value:
+        raise InputError(f"{key} must be a text without the character NUL, got {shown(value)}: leave it out")
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            _require_no_nul(inner, f"{key}.{name}" if key else str(name))
+    if isinstance(value, list | tuple):
+        for inner in value:
+            _require_no_nul(inner, key)
 
 
 def _drop(table: dict[str, object], key: str) -> None:
@@ -216,7 +235,7 @@ def parse_override(text: str, *, option: str = "--set", example: str = "voxels.s
     if not sign or not key:
         raise InputError(f"{option} must be key=value, got {text}: use for example {example}")
     try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+        return key.strip(), read_toml(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return key.strip(), value
 
@@ -224,6 +243,10 @@ def parse_override(text: str, *, option: str = "--set", example: str = "voxels.s
 def _place(table: dict[str, object], key: str, value: object) -> None:
     """Set a dotted key in nested tables; a new kind of a part starts that part afresh."""
     *parents, last = key.split(".")
+    if len(parents) > DEEPEST:
+        raise InputError(
+            f"{shown(key)} must name an entry of a part, got {len(parents)} dots: see `tissue scenes NAME`"
+        )
     for parent in parents:
         inner = table.setdefault(parent, {})
         if not isinstance(inner, dict):

@@ -55,7 +55,7 @@ def _shown(value: object) -> str:
     """A value that was refused, with the point or the quotes that may be what is wrong."""
     if isinstance(value, float) and value.is_integer():
         return repr(value)
-    return f'"{value}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)
+    return f'"{shown(value)}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)
 
 
 def choices_of(field: FieldInfo) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
+from meshes.base.text_tables import read_toml
 from meshes.base.whole_file import whole_file
 
 __all__ = ["anatomy_of", "save_site", "with_site"]
@@ -25,7 +26,7 @@ def anatomy_of(scene: Path) -> dict[str, object]:
     """
     require_regular(scene)
     try:
-        table = tomllib.loads(scene.read_text("utf-8")).get("anatomy")
+        table = read_toml(scene.read_text("utf-8")).get("anatomy")
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"scene must be TOML, got {error} in {scene}: mend it") from None
     if not isinstance(table, dict):
@@ -68,9 +69,9 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
     for key, value in values.items():
         _put(lines, first + 1, key, f"{key} = {value}")
     changed = end.join(lines)
-    before = tomllib.loads(text)
+    before = read_toml(text)
     before["anatomy"] |= values
-    if tomllib.loads(changed) != before:
+    if read_toml(changed) != before:
         raise InputError(
             "scene must state anatomy.centre_mm and normal on lines of their own, got other text: write them by hand"
         )

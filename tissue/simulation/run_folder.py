@@ -10,6 +10,7 @@ from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version
 from meshes.base.placement import Placement
+from meshes.base.text_tables import read_json
 from meshes.base.whole_file import whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene, saved_text
@@ -187,7 +188,7 @@ def saved_placement(path: Path) -> Placement | None:
         If the summary's placement is no rigid motion.
     """
     try:
-        record = json.loads(require_regular(path / "summary.json").read_text("utf-8")).get("placement")
+        record = read_json(require_regular(path / "summary.json").read_text("utf-8")).get("placement")
     except (OSError, ValueError, AttributeError):
         return None
     return None if record is None else Placement.from_record(record)

@@ -1,6 +1,5 @@
 """The summary of a run read back: its version, and the entries that other code relies on."""
 
-import json
 from collections.abc import Mapping
 from math import isfinite
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.file_version import require_version
+from meshes.base.text_tables import read_json
 
 __all__ = ["FORMAT", "Summary", "read_summary", "summary_of"]
 
@@ -64,8 +64,8 @@ def read_summary(folder: Path) -> Summary:
 def _table_of(folder: Path) -> Summary | None:
     """The summary of a folder as it is; None where there is none or it is no table."""
     try:
-        held = json.loads(require_regular(folder / "summary.json").read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
+        held = read_json(require_regular(folder / "summary.json").read_text("utf-8"))
+    except (OSError, ValueError):
         return None
     return held if isinstance(held, dict) else None
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from time import monotonic, sleep
+from typing import IO
 
 from meshes.base.errors import InputError
 from tissue.system.child import CHECK_S, HangDetector, child_command
@@ -23,13 +24,13 @@ REMEDY = "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL an
 LONGEST_S = 120.0
 DISPLAY_S, ANSWERS_S = 30.0, 5.0
 """How long a display is waited for, and how long it may take for one answer [s]."""
-_drawing: "set[subprocess.Popen[str]]" = set()
+_drawing: "set[subprocess.Popen[bytes]]" = set()
 
 
 def draw_apart(
     module: str,
     *arguments: str,
-    prepare: Callable[[], None] | None = None,
+    prepare: Callable[[], bytes] | None = None,
     longest_s: float = LONGEST_S,
     drawn: Callable[[float], None] | None = None,
 ) -> str | None:
@@ -38,9 +39,10 @@ def draw_apart(
     Parameters
     ----------
     module, arguments
-        What to run. It finds a line on its standard input once ``prepare`` is done.
+        What to run.
     prepare
-        Called once while the process starts, to make what it is going to read.
+        Called once while the process starts, for what it reads from its standard input. In a file a patient's anatomy
+        would stay behind if both processes were killed.
     longest_s
         How long it may draw [s].
     drawn
@@ -58,23 +60,20 @@ def draw_apart(
     command = child_command(module, *arguments)
     if not command:
         return "this Python cannot start another one to draw in 3D: run it from the command line"
-    reason = "this machine has no OpenGL library"
+    reason, sent = "this machine has no OpenGL library", b"ready\n"
     for changes in drawing_environments():
         environment = os.environ | changes
         pipe = subprocess.PIPE
         with (
             TemporaryDirectory(prefix="tissue-") as folder,
             (printed := Path(folder) / "printed").open("wb") as out,
-            subprocess.Popen(
-                command, env=environment, stdin=pipe, stdout=out, stderr=pipe, text=True, errors="replace"
-            ) as process,
+            subprocess.Popen(command, env=environment, stdin=pipe, stdout=out, stderr=pipe) as process,
         ):
             _drawing.add(process)
             try:
                 if prepare is not None:
-                    prepare()
-                    prepare = None
-                output, late = _awaited(process, longest_s, partial(_report, drawn, printed))
+                    sent, prepare = prepare(), None
+                output, late = _awaited(process, sent, longest_s, partial(_report, drawn, printed))
             except BaseException:
                 _drawing.discard(process)
                 process.kill()
@@ -115,19 +114,30 @@ def _last_share(printed: Path) -> float:
     return 0.0
 
 
-def _awaited(process: "subprocess.Popen[str]", longest_s: float, poll: Callable[[], object]) -> tuple[str, str | None]:
+def _awaited(
+    process: "subprocess.Popen[bytes]", sent: bytes, longest_s: float, poll: Callable[[], object]
+) -> tuple[str, str | None]:
     """Let a process draw: its output, and why it was ended, or None; ``poll`` is called meanwhile."""
     detector = HangDetector(lambda: [process.pid], longest_s=longest_s)
-    sent: str | None = "ready\n"
+    # In a thread, since `communicate` forgets the rest of what is sent once it has timed out.
+    stream, process.stdin = process.stdin, None
+    threading.Thread(target=_send, args=(stream, sent), daemon=True).start()
     while True:
         try:
-            return process.communicate(sent, timeout=CHECK_S)[1], None
+            return process.communicate(timeout=CHECK_S)[1].decode("utf-8", "replace"), None
         except subprocess.TimeoutExpired:
-            sent, late = None, detector.check()
+            late = detector.check()
             poll()
         if late is not None:
             process.kill()
-            return process.communicate()[1], late
+            return process.communicate()[1].decode("utf-8", "replace"), late
+
+
+def _send(stream: IO[bytes] | None, sent: bytes) -> None:
+    """Write to the standard input of a process, which may end before it has read all."""
+    assert stream is not None
+    with suppress(OSError, ValueError), stream:
+        stream.write(sent)
 
 
 def display_problem() -> str | None:

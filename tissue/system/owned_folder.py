@@ -9,10 +9,19 @@ from pathlib import Path, PurePosixPath
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
+from meshes.base.text_tables import read_json
 from meshes.base.whole_file import OWNERS, whole_file
 from tissue.system.outputs import OutputLock, require_place
 
-__all__ = ["MARKER", "OwnedFolder", "listed_files", "owned_folder", "require_folder", "require_listed"]
+__all__ = [
+    "MARKER",
+    "OwnedFolder",
+    "anything_claimed",
+    "listed_files",
+    "owned_folder",
+    "require_folder",
+    "require_listed",
+]
 
 MARKER = ".tissue.json"
 """Name of the file that lists the files which tissue wrote into a folder."""
@@ -21,6 +30,8 @@ FORMAT, VERSION = "tissue output folder", 1
 LONGEST_MARKER = 1 << 24
 """Largest marker that is read [bytes]; a file of 40,000 names has 2 MB."""
 
+_claimed: set[Path] = set()
+"""Folders for which this process has listed a file."""
 Files = dict[str, set[str]]
 """Names of files relative to their folder, by the kind of output to which they belong."""
 
@@ -108,6 +119,7 @@ class OwnedFolder:
                 raise _foreign(self._path, name, self._files)
             own.add(name)
             self._write_marker()
+            _claimed.add(self._place)
 
     def release(self) -> None:
         """Let go of the folder; a second call does nothing."""
@@ -129,6 +141,11 @@ class OwnedFolder:
         data = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "files": files}
         with whole_file(self._path / MARKER) as temporary:
             temporary.write_text(json.dumps(data, indent=1) + "\n", "utf-8")
+
+
+def anything_claimed() -> bool:
+    """Return whether this process has begun to write a file into an output folder."""
+    return bool(_claimed)
 
 
 @contextmanager
@@ -212,13 +229,13 @@ def listed_files(path: Path) -> Files:
     try:
         if marker.is_symlink() or not marker.is_file() or marker.stat().st_size > LONGEST_MARKER:
             raise ValueError(marker)
-        held = json.loads(marker.read_text("utf-8"))
+        held = read_json(marker.read_text("utf-8"))
         if held["format"] != FORMAT or held["version"] != VERSION or not isinstance(held["tissue"], str):
             raise ValueError(marker)
         files = {kind: set(names) for kind, names in held["files"].items() if isinstance(names, list)}
         if not all(_is_inside(name) for names in files.values() for name in names):
             raise ValueError(marker)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
         raise InputError(
             f"out must hold no {MARKER} of other origin or version, got one in {path}: choose another --out"
         ) from None

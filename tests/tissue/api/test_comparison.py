@@ -46,7 +46,7 @@ def test_figures_and_keys_that_differ(run, other):
 def test_equal_runs_differ_in_nothing(run, back):
     found = tissue.compare(run, back)
     assert list(found.runs) == ["milling 1", "milling 2"]
-    assert found.scene_differences == {} and found.lines() == ["the scenes are the same"]
+    assert found.scene_differences == {} and found.lines()[0] == "the scenes are the same"
     assert all(apart == 0.0 for _, (_, _, apart, _) in found.rows()[1])
 
 
@@ -64,7 +64,16 @@ def test_what_cannot_be_compared_is_refused(run, tmp_path):
 def test_runs_of_other_kinds_stopped_or_elsewhere_are_named(run, wall, monkeypatch):
     monkeypatch.setattr(wall._held, "_compute", "cuda:0")
     found = tissue.compare(run, wall, names=["bone", "wall"])
-    assert found.notes == ["compute device differs: bone cpu, wall cuda:0"]
+    assert found.notes == [
+        "the path of bone is not finished: the run ends at 0.3 s, the motion at 8.09 s; set duration_s = 8.09 or leave "
+        "it out to see all of it",
+        "the path of wall is not finished: the run ends at 0.2 s, the motion at 1.5 s; set duration_s = 1.5 or leave "
+        "it out to see all of it",
+        "simulated time differs, so that peaks, means and volumes are of runs of different lengths: bone 0.3 s, "
+        "wall 0.2 s",
+        "the runs are of different scenes: bone milling, wall wall",
+        "compute device differs: bone cpu, wall cuda:0",
+    ]
     assert found.scene_differences["tool.kind"] == ("ball-burr", "sphere-probe")
     assert found.scene_differences["voxels.spacing_mm"] == (0.4, None)
     peak, removed = (dict(found.rows()[1])[name] for name in ("peak_force_N", "removed_mm3"))

@@ -28,10 +28,14 @@ def test_an_atlas_is_not_written_over(command, here):
     (here / "kept").mkdir()
     (here / "kept" / "index.html").write_text("mine")
     code, _, error = command("stability", "--out", "kept", "--only", "smoothness")
-    assert code == 2 and "out must not hold another atlas" in error
+    assert code == 2 and "got kept with index.html" in error
+    assert command("stability", "--out", "kept", "--only", "smoothness", "--overwrite")[0] == 2
     assert (here / "kept" / "index.html").read_text() == "mine"
-    assert command("stability", "--out", "kept", "--only", "smoothness", "--overwrite")[0] == 0
-    assert "<section" in (here / "kept" / "index.html").read_text("utf-8")
+    assert command("stability", "--out", "made", "--only", "smoothness")[0] == 0
+    code, _, error = command("stability", "--out", "made", "--only", "smoothness")
+    assert code == 2 and "out must not hold another atlas" in error
+    assert command("stability", "--out", "made", "--only", "smoothness", "--overwrite")[0] == 0
+    assert "<section" in (here / "made" / "index.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,8 @@ def test_a_session_ends_with_observer_trials_and_picture(command, here):
     before = (here / "sub" / "one.json").read_bytes()
     assert command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json", "--overwrite")[0] == 0
     assert (here / "sub" / "one.json").read_bytes() == before
-    (here / "sub" / "one.json").unlink()  # as if stopped before it was written
+    for name in ("one.json", "one.png"):  # as if stopped before they were written
+        (here / "sub" / name).unlink()
     assert command("calibrate", "--observer", "simulated:4", "--out", "sub/one.json")[0] == 0
     assert (here / "sub" / "one.json").read_bytes() == before
 
@@ -178,7 +179,7 @@ def test_another_plan_is_another_session(log):
         ),
         (("--population", "nowhere"), "population must be a folder of sessions, got nowhere"),
         (("--population", "."), "population must hold three sessions or more"),
-        (("--observer", "simulated:1", "--out", "."), "out must be the name of a file that ends in .json, got ."),
+        (("--observer", "simulated:1", "--out", "."), "out must be a file, got the folder ."),
         (
             ("--observer", "simulated:1", "--out", "a.png"),
             "out must be the name of a file that ends in .json, got a.png",

@@ -292,6 +292,6 @@ def test_what_is_made_ready_is_found(block, tmp_path, monkeypatch):
 
 def test_a_chart_is_not_overwritten(tmp_path):
     (tmp_path / "wall.csv").write_text("mine", "utf-8")
-    with pytest.raises(InputError, match=r"out must not hold another chart, got .*wall.csv"):
+    with pytest.raises(InputError, match=r"out must not hold files of other origin, got .* with wall.csv"):
         chart_scenes(["wall"], tmp_path, quick=True)
     assert (tmp_path / "wall.csv").read_text("utf-8") == "mine"

@@ -55,7 +55,7 @@ def reference(tmp_path_factory):
 def test_a_scene_is_ready_to_run(reference):
     made, force = reference
     assert made.has_site and sorted(each.name for each in made.folder.iterdir()) == [
-        "bone.ply", "density.nrrd", "import.json", "scene.toml",
+        ".tissue.json", "bone.ply", "density.nrrd", "import.json", "scene.toml",
     ]  # fmt: skip
     scene = tissue.load_scene(made.scene)
     assert scene.anatomy.kind == "bone" and scene.name == "out"

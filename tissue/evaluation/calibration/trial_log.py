@@ -8,6 +8,7 @@ from pathlib import Path
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version, require_version
+from meshes.base.text_tables import read_json
 from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session
 from tissue.perception.adaptive import ThresholdPrior
 
@@ -109,7 +110,7 @@ def read_log(path: Path) -> tuple[str, Session]:
         ) from problem
     lines = text[: text.rfind("\n") + 1].splitlines()
     try:
-        head = json.loads(lines[0])
+        head = read_json(lines[0])
         known = head["format"] == FORMAT
     except (IndexError, ValueError, TypeError, KeyError):
         known = False
@@ -139,7 +140,7 @@ def read_log(path: Path) -> tuple[str, Session]:
 
 def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
     """A line's trial, answer and number."""
-    entry = json.loads(line)
+    entry = read_json(line)
     if not isinstance(entry, dict):
         raise ValueError(f"{line[:40]}")
     trial, answer, what = entry.pop("trial"), entry.pop("answer"), entry.pop("ask")

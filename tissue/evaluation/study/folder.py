@@ -11,6 +11,7 @@ from pydantic import TypeAdapter
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version, require_version
+from meshes.base.text_tables import read_json
 from meshes.base.whole_file import claim, whole_file
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import Plan, TrialKey
@@ -149,7 +150,7 @@ class StudyFolder:
         """
         path = require_regular(self.path / PLAN)
         try:
-            held = json.loads(path.read_text("utf-8"))
+            held = read_json(path.read_text("utf-8"))
             require_version("study", held, FORMAT, where=path, remedy="run it in a new folder")
             del held["format"]
             held.pop("registrations", None)
@@ -179,7 +180,7 @@ class StudyFolder:
         """
         self.plan()
         try:
-            return registered(json.loads((self.path / PLAN).read_text("utf-8")))
+            return registered(read_json((self.path / PLAN).read_text("utf-8")))
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             raise InputError(
                 f"registrations must be as `tissue study run` wrote them, got others in {self.path / PLAN}: put that "
@@ -189,7 +190,7 @@ class StudyFolder:
     def stamp(self, key: TrialKey) -> Stamp:
         """What a trial's file states of its origin."""
         try:
-            held = dict(json.loads(require_regular(self._file(key)).read_text("utf-8")))
+            held = dict(read_json(require_regular(self._file(key)).read_text("utf-8")))
         except (OSError, ValueError, TypeError, RecursionError):
             return Stamp("", "", False)
         stated = held.pop("sha256", None)
@@ -204,7 +205,7 @@ class StudyFolder:
         """A trial, or None where its file is missing or cut short."""
         try:
             trial = READ_TRIAL.validate_python(
-                json.loads(require_regular(self._file(key)).read_text("utf-8")) | {"key": key}
+                read_json(require_regular(self._file(key)).read_text("utf-8")) | {"key": key}
             )
         except (OSError, ValueError, TypeError, RecursionError):
             return None

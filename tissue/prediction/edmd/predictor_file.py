@@ -13,6 +13,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.file_limits import read_npz
 from meshes.base.file_version import package_version, require_version
+from meshes.base.text_tables import read_json
 from meshes.base.whole_file import whole_file
 from tissue.prediction.edmd.dictionary import Delays, Dictionary, Identity
 from tissue.prediction.edmd.gap_products import GapProducts
@@ -123,7 +124,7 @@ def read_predictor(path: str | Path, *, scene: str | None = None) -> StoredPredi
         raise InputError(f"predictor file must be whole and one that 'tissue train' wrote, got {path}: {again}")
     try:
         held = read_npz(path)
-        whole = json.loads(str(held["json"]))
+        whole = read_json(str(held["json"]))
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
             raise InputError(f"predictor file must be one that 'tissue train' wrote, got {path}: {again}")
         require_version("predictor file", whole, VERSION, key="version", where=path, remedy=again)

@@ -1,0 +1,68 @@
+"""Read TOML and JSON texts and refuse those that are nested too deeply."""
+
+import json
+import tomllib
+from typing import Any
+
+__all__ = ["DEEPEST", "read_json", "read_toml", "require_shallow"]
+
+DEEPEST = 50
+"""Largest number of tables and lists within each other; scenes have at most 5."""
+
+
+def read_toml(text: str) -> dict[str, Any]:
+    """Read a table in TOML.
+
+    Raises
+    ------
+    tomllib.TOMLDecodeError
+        If it is not valid, nested too deeply, or holds a number of thousands of digits.
+    """
+    try:
+        table = tomllib.loads(text)
+        require_shallow(table)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError:
+        raise tomllib.TOMLDecodeError(f"tables and lists within each other more than {DEEPEST} times") from None
+    except ValueError as error:
+        raise tomllib.TOMLDecodeError(str(error).split(":")[0]) from None
+    return table
+
+
+def read_json(text: str | bytes) -> Any:
+    """Read a value in JSON.
+
+    Raises
+    ------
+    json.JSONDecodeError
+        If it is not valid, nested too deeply, or holds a number of thousands of digits.
+    """
+    try:
+        value = json.loads(text)
+        require_shallow(value)
+    except (json.JSONDecodeError, UnicodeDecodeError):
+        raise
+    except RecursionError:
+        raise json.JSONDecodeError(f"tables and lists within each other more than {DEEPEST} times", "", 0) from None
+    except ValueError as error:
+        raise json.JSONDecodeError(str(error).split(":")[0], "", 0) from None
+    return value
+
+
+def require_shallow(value: object) -> None:
+    """Check that tables and lists are not nested more than `DEEPEST` times.
+
+    Raises
+    ------
+    RecursionError
+        If they are.
+    """
+    level: list[object] = [value]
+    for _ in range(DEEPEST):
+        tables = [inner for each in level if isinstance(each, dict) for inner in each.values()]
+        lists = [inner for each in level if isinstance(each, list) for inner in each]
+        level = [inner for inner in (*tables, *lists) if isinstance(inner, dict | list)]
+        if not level:
+            return
+    raise RecursionError

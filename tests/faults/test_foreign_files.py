@@ -1,0 +1,267 @@
+"""No command touches a file of the user: each is run over folders and files that it did not write."""
+
+import hashlib
+import json
+import os
+import shutil
+
+import pytest
+from coarse_run import COARSE
+
+from tissue import InputError
+from tissue.simulation.run_folder import SavedRun
+from tissue.system.owned_folder import MARKER, OwnedFolder, owned_folder, require_folder
+
+WALL = ("wall", "--set", "duration_s=0.05")
+FOLDERS = {
+    "run": (("run", *WALL, "--no-pictures"), "trace.csv summary.json bone.stl pictures/section.png carving/rest.vtp"),
+    "sweep": (("sweep", "wall", "--set", "duration_s=0.05,0.06"), "sweep.csv sweep.png compare.png sweep.json"),
+    "compare": (("compare", "a", "b"), "compare.csv compare.png"),
+    "assess": (("assess", "a", "--against", "b"), "assessment.json assessment.png"),
+    "import": (("import", "ct.nrrd"), "scene.toml import.json"),
+    "fit": (("fit", "wall", "--measured", "log.csv"), "fitted.toml report.html draws.csv"),
+    "stability": (("stability", "wall"), "stability.png"),
+    "atlas": (("stability", "--only", "smoothness"), "index.html smoothness.png smoothness_x.csv"),
+    "chart": (("chart", "wall", "--quick"), "wall.csv wall.png frontier.png machine.txt"),
+    "prediction": (("chart", "prediction", "wall"), "errors.csv prediction_wall.png prediction_tasks.png"),
+    "perception": (("chart", "perception"), "perception-people.png"),
+    "study": (("study", "run", "--trials", 1), "plan.toml study.json"),
+    "study plan": (("study", "plan", "--trials", 1), "plan.toml trials.csv"),
+}
+"""Command and names of files that it would write, for commands that write folders."""
+FILES = {
+    "schema": (("schema",), "--out", "x.json"),
+    "train": (("train", "wall"), "--out", "x.npz"),
+    "calibrate": (("calibrate", "--observer", "simulated:1"), "--out", "x.json"),
+    "population": (("calibrate", "--population", "."), "--out", "x.json"),
+    "report": (("report", "made"), "--out", "x.html"),
+    "screenshot": (("view", "made"), "--screenshot", "x.png"),
+    "movie": (("view", "made"), "--movie", "x.gif"),
+    "devices": (("devices", "--test", "network"), "--out", "x.toml"),
+}
+"""Command, option and file for commands that write single files."""
+
+
+def content(folder):
+    """Hash and kind of all that lies in a folder."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        plain = path.is_file() and not path.is_symlink()
+        found[name] = hashlib.sha256(path.read_bytes()).hexdigest() if plain else os.lstat(path).st_mode
+    return found
+
+
+def put(folder, names):
+    """Write files of a user."""
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(f"the user's {name}")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Folder of a short run of a wall."""
+    import tissue
+
+    folder = tmp_path_factory.mktemp("made") / "made"
+    return tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.05})).save(folder, pictures=False)
+
+
+@pytest.mark.parametrize("option", [(), ("--overwrite",)], ids=["plain", "overwrite"])
+@pytest.mark.parametrize("name", FOLDERS)
+def test_files_of_other_origin_are_never_replaced(refused, tmp_path, monkeypatch, name, option):
+    monkeypatch.chdir(tmp_path)
+    arguments, files = FOLDERS[name]
+    if "study" in name and option:
+        pytest.skip("it has no such option")
+    for number, each in enumerate(files.split()):
+        folder = tmp_path / f"mine-{number}"
+        put(folder, [each, "notes.txt", "pictures/mine.png"])
+        before = content(folder)
+        message = refused(*arguments, "--out", folder, *option)
+        assert message.startswith(("out must ", "study must ")), message
+        assert content(folder) == before
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_single_files_are_replaced_on_request_and_only_where_they_are_regular(
+    refused, made, tmp_path, monkeypatch, name
+):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(made, "made")
+    arguments, option, file = FILES[name]
+    put(tmp_path, [file, "target"])
+    before = content(tmp_path)
+    assert "must not exist yet" in refused(*arguments, option, file)
+    assert content(tmp_path) == before
+    os.unlink(file)
+    for make in (
+        os.mkfifo,
+        lambda path: os.symlink("target", path),
+        lambda path: os.symlink("nowhere", path),
+        os.mkdir,
+    ):
+        make(file)
+        before = content(tmp_path)
+        assert " must " in refused(*arguments, option, file, "--overwrite")
+        assert content(tmp_path) == before
+        os.rmdir(file) if os.path.isdir(file) else os.unlink(file)
+    if "calibrate" not in arguments:  # which makes the folder
+        assert "must lie in a folder that exists" in refused(*arguments, option, f"no/such/{file}")
+
+
+@pytest.mark.parametrize("arguments", [("schema",), ("train", "wall")])
+def test_a_device_node_is_never_replaced(refused, arguments):
+    before = os.stat("/dev/null")
+    assert "must be a regular file" in refused(*arguments, "--out", "/dev/null", "--overwrite")
+    assert os.stat("/dev/null").st_rdev == before.st_rdev
+
+
+def test_a_run_of_the_user_is_not_a_run_by_its_summary_alone(refused, tmp_path):
+    """A file with that name and a version in it is no proof, nor is a folder that an older version did not write."""
+    folder = tmp_path / "mine"
+    put(folder, ["bone.stl", "pictures/mine.png"])
+    for held in ({}, {"format": 1}, {"format": 1, "scene": "x", "status": "interrupted", "tissue": "0.2.0"}):
+        (folder / "summary.json").write_text(json.dumps(held))
+        before = content(folder)
+        assert "files of other origin" in refused("run", *WALL, "--out", folder, "--overwrite")
+        assert content(folder) == before
+
+
+def test_a_run_of_version_0_2_is_replaced_and_nothing_beside_it(command, made, tmp_path):
+    folder = shutil.copytree(made, tmp_path / "old")
+    (folder / MARKER).unlink()
+    put(folder, ["notes.txt", "pictures/mine.png", "carving/mine.vtp", "band/mine.toml"])
+    mine = {name: each for name, each in content(folder).items() if "mine" in name or "notes" in name}
+    assert SavedRun(folder).complete
+    assert command("run", *WALL, "--no-pictures", "--out", folder)[0] == 2
+    assert command("run", *WALL, "--no-pictures", "--out", folder, "--overwrite")[0] == 0
+    assert {name: each for name, each in content(folder).items() if "mine" in name or "notes" in name} == mine
+    listed = json.loads((folder / MARKER).read_text())["files"]["run"]
+    assert set(listed) == {"trace.csv", "timing.csv", "scene.toml", "summary.json"}
+
+
+def test_an_import_keeps_off_a_run(refused, made, tmp_path):
+    folder = shutil.copytree(made, tmp_path / "run")
+    before = content(folder)
+    message = refused("import", "ct.nrrd", "--out", folder, "--overwrite")
+    assert message.endswith("scene.toml, which belongs to another kind of output (run): choose another --out")
+    assert content(folder) == before
+
+
+def test_a_sweep_keeps_off_a_run_that_is_not_its_own(command, made, tmp_path):
+    folder = shutil.copytree(made, tmp_path / "out" / "seed=1")
+    before = content(folder)
+    for _ in range(2):  # the first must not make it one of the sweep
+        code, _, error = command("sweep", *WALL, "--set", "seed=1,2", "--workers", 1, "--out", tmp_path / "out")
+        assert code == 1 and "seed=1: out must not hold another run" in error
+        assert content(folder) == before
+
+
+@pytest.mark.parametrize(
+    "marker",
+    [
+        "[]",
+        "{",
+        '{"format": "tissue output folder", "version": 2, "tissue": "9", "files": {}}',
+        '{"format": "tissue output folder", "version": 1, "tissue": "0", "files": {"run": ["../target"]}}',
+        '{"format": "tissue output folder", "version": 1, "tissue": "0", "files": {"run": ["/etc/hostname"]}}',
+        "[" * 5000,
+    ],
+)
+def test_a_marker_that_does_not_validate_is_refused(tmp_path, marker):
+    (tmp_path / "out").mkdir()
+    put(tmp_path, ["target", "out/trace.csv"])
+    (tmp_path / "out" / MARKER).write_text(marker)
+    before = content(tmp_path)
+    with pytest.raises(InputError, match=r"out must hold no \.tissue\.json of other origin"):
+        OwnedFolder(tmp_path / "out", "run", ["trace.csv"], overwrite=True)
+    assert content(tmp_path) == before
+
+
+def test_what_took_the_place_of_a_listed_file_is_kept(tmp_path):
+    out = tmp_path / "out"
+    with owned_folder(out, "run", ["a.txt", "sub/b.txt"]):
+        from meshes.base.whole_file import whole_file
+
+        (out / "sub").mkdir()
+        for name in ("a.txt", "sub/b.txt"):
+            with whole_file(out / name) as temporary:
+                temporary.write_text("ours")
+        put(out, ["c.txt"])
+        with pytest.raises(InputError, match=r"files of other origin, got .* with c\.txt"), whole_file(out / "c.txt"):
+            pass
+    put(tmp_path, ["target/b.txt", "target/a.txt"])
+    shutil.rmtree(out / "sub")
+    (out / "sub").symlink_to(tmp_path / "target")  # a folder of the user under the name of ours
+    (out / "a.txt").unlink()
+    (out / "a.txt").symlink_to(tmp_path / "target" / "a.txt")
+    before = content(tmp_path)
+    for names in (["a.txt"], ["sub/b.txt"]):
+        with pytest.raises(InputError, match="files of other origin"):
+            require_folder(out, "run", names, overwrite=True)
+        with pytest.raises(InputError, match="files of other origin"):
+            OwnedFolder(out, "run", names, overwrite=True)
+    assert content(tmp_path) == before
+
+
+def test_a_lock_of_the_user_is_kept(refused, tmp_path):
+    folder, target = tmp_path / "out", tmp_path / "target"
+    put(tmp_path, ["out/.lock", "target"])
+    before = content(tmp_path)
+    assert "file .lock of other origin" in refused("run", *WALL, "--out", folder)
+    assert content(tmp_path) == before
+    (folder / ".lock").unlink()
+    (folder / ".lock").symlink_to(target)
+    before = content(tmp_path)
+    assert "file .lock of other origin" in refused("run", *WALL, "--out", folder)
+    assert content(tmp_path) == before
+    (folder / ".lock").unlink()
+    (folder / ".lock").write_text("12345\n")  # as a process leaves it that was killed
+    OwnedFolder(folder, "run", []).release()
+    assert not (folder / ".lock").exists()
+
+
+@pytest.mark.slow
+def test_no_command_touches_what_it_did_not_write(command, tmp_path, monkeypatch):
+    """Foreign files lie in every folder, on every level; each command writes twice."""
+    monkeypatch.chdir(tmp_path)
+    others = [
+        "notes.txt",
+        "pictures/mine.png",
+        "carving/mine.vtp",
+        "fields/mine.vtu",
+        "band/mine.toml",
+        "data/trace.csv",
+    ]
+    run = ("run", "milling", *COARSE[:2], "--set", "motion.feed_mm_s=50", "--duration-s", 0.3)
+    assert command(*run, "--no-pictures", "--out", "reference")[0] == 0
+    writing = {
+        "made": (*run, "--format", "npz", "--band", 16),
+        "swept": ("sweep", *WALL, "--set", "seed=1,2", "--workers", 1),
+        "compared": ("compare", "made", "reference"),
+        "assessed": ("assess", "made", "--against", "reference"),
+        "stable": ("stability", "wall"),
+        "atlas": ("stability", "--only", "smoothness"),
+        "felt": ("chart", "perception"),
+    }
+    mine = {}
+    for folder, arguments in writing.items():
+        put(tmp_path / folder, others)
+        mine |= {f"{folder}/{name}": hashlib.sha256(f"the user's {name}".encode()).hexdigest() for name in others}
+        for option in ((), ("--overwrite",)):
+            code, _, error = command(*arguments, "--out", folder, *option)
+            assert code == 0, error
+            found = content(tmp_path)
+            assert {name: found.get(name) for name in mine} == mine
+    assert command("report", "made")[0] == 0
+    assert command("view", "made", "--screenshot", "made/pictures/shown.png")[0] == 0
+    put(tmp_path, ["made/pictures/shown.png"])
+    assert command("view", "made", "--screenshot", "made/pictures/shown.png")[0] == 2
+    assert command(*run, "--no-pictures", "--out", "made", "--overwrite")[0] == 0
+    found = content(tmp_path)
+    assert {name: found.get(name) for name in mine} == mine
+    assert (tmp_path / "made/pictures/shown.png").read_text() == "the user's made/pictures/shown.png"
+    left = {each.name for each in (tmp_path / "made/pictures").iterdir()}
+    assert left == {"mine.png", "shown.png"} and not (tmp_path / "made" / "report.html").exists()

@@ -1,0 +1,171 @@
+"""Arguments, streams and places that no command can use end in one sentence, and never in a traceback."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from meshes.base.text_tables import DEEPEST, read_json, read_toml
+from tissue import InputError, load_scene
+from tissue.scene.load import changed
+
+MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
+WALL = ("run", "wall", "--set", "duration_s=0.05", "--no-pictures")
+DEEP = 5000
+DIGITS = 400 * "9"
+
+
+def nested(depth, opening="[", closing="]", inner=""):
+    """Brackets within each other."""
+    return depth * opening + inner + depth * closing
+
+
+@pytest.fixture
+def nowhere(tmp_path, monkeypatch):
+    """Working directory with links that lead nowhere."""
+    monkeypatch.chdir(tmp_path)
+    os.symlink("nothing", "dangling")
+    os.symlink("loop", "loop")
+    return tmp_path
+
+
+@pytest.mark.parametrize("value", [nested(DEEP), nested(DEEP, "{a=", "}", "1"), DIGITS, 15 * DIGITS, nested(40)])
+@pytest.mark.parametrize("key", ["hand", "seed", "motion.points_mm", "coupling.stiffness_N_m", "keep_clear.files"])
+def test_a_value_that_is_nested_or_long_is_refused(refused, tmp_path, key, value):
+    message = refused("run", "wall", "--set", f"{key}={value}", "--out", tmp_path / "out")
+    assert key in message and len(message) < 1000
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_key_of_thousands_of_parts_is_refused(refused, tmp_path):
+    assert "dots" in refused("run", "wall", "--set", f"{'.'.join(DEEP * ['a'])}=1", "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize("text", [f"a = {nested(DEEP)}", f"[{'.'.join(DEEP * ['a'])}]", f"a = {15 * DIGITS}"])
+def test_a_scene_that_is_nested_or_long_is_refused(refused, tmp_path, text):
+    (tmp_path / "deep.toml").write_text(f'name = "x"\n{text}\n')
+    assert "scene must be valid TOML" in refused("run", tmp_path / "deep.toml", "--out", tmp_path / "out")
+
+
+def test_tables_are_read_to_a_stated_depth():
+    """One level less than the bound is read, one level more is not."""
+    for depth, is_read in ((DEEPEST, True), (DEEPEST + 1, False)):
+        text = nested(depth)
+        for read in (lambda text: read_toml(f"a = {text[1:-1]}"), read_json):
+            if is_read:
+                assert read(text)
+                continue
+            with pytest.raises(ValueError, match="within each other"):
+                read(text)
+
+
+@pytest.mark.parametrize(
+    ("file", "arguments"),
+    [
+        ("out/sweep.json", ("sweep", "wall", "--set", "seed=1,2", "--out", "out")),
+        ("out/summary.json", ("view", "out", "--screenshot", "x.png")),
+        ("out/summary.json", ("report", "out")),
+        ("out/study.json", ("study", "report", "out")),
+        ("x.json", ("chart", "perception", "--observer", "x.json", "--out", "out")),
+        ("x.trials.jsonl", ("calibrate", "--observer", "simulated:1", "--out", "x.json")),
+        ("m.toml", (*WALL, "--set", "materials=m.toml", "--out", "out")),
+    ],
+)
+@pytest.mark.parametrize(
+    "text", [nested(DEEP), '{"a": ' + nested(DEEP) + "}", nested(DEEP, '{"a":', "}", "1"), 15 * DIGITS]
+)
+def test_a_file_that_is_nested_or_long_is_refused(refused, tmp_path, monkeypatch, file, arguments, text):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    (tmp_path / file).write_text(f"a = {text}\n" if file.endswith(".toml") else f"{text}\n")
+    assert refused(*arguments)
+
+
+def test_the_character_nul_is_refused(refused, tmp_path):
+    for change in ('materials="a\\u0000b"', 'perception="observer:a\\u0000b"', 'coupling.predictor_file="a\\u0000b"'):
+        assert "without the character NUL" in refused("run", "wall", "--set", change, "--out", tmp_path / "out")
+    scene = load_scene("glenoid")
+    with pytest.raises(InputError, match=r"anatomy\.file must be a text without the character NUL"):
+        changed(scene, {"anatomy.file": "a\0b.stl"})
+    (tmp_path / "x.toml").write_text('name = "x"\n[anatomy]\nkind = "glenoid"\nfile = "a\\u0000b.stl"\n')
+    assert "without the character NUL" in refused("run", tmp_path / "x.toml", "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize("place", ["dangling", "loop", "dangling/below", "loop/below", "x\udcff", "nul\0"])
+@pytest.mark.parametrize(
+    "arguments",
+    [WALL, ("sweep", "wall", "--set", "seed=1,2"), ("stability", "wall"), ("compare", "a", "b"), ("chart", "perception"),
+     ("study", "plan"), ("fit", "wall", "--measured", "x.csv"), ("import", "x.nrrd"), ("schema",), ("train", "wall")],
+    ids=lambda arguments: arguments[0],
+)  # fmt: skip
+def test_a_place_that_cannot_be_used_is_refused_before_anything_is_computed(refused, nowhere, place, arguments):
+    before = sorted(os.listdir(nowhere))
+    assert refused(*arguments, "--out", place).startswith("out must ")
+    assert sorted(os.listdir(nowhere)) == before
+
+
+@pytest.mark.parametrize("place", ["dangling.html", "no/such/x.html", "x\udcff.html"])
+def test_a_report_is_refused_where_it_cannot_be_written(refused, nowhere, place):
+    import tissue
+
+    os.symlink("nothing", "dangling.html")
+    tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.05})).save("run", pictures=False)
+    assert refused("report", "run", "--out", place).startswith("out must ")
+
+
+def test_a_sweep_of_millions_is_refused_at_once(refused, tmp_path):
+    numbers = ",".join(map(str, range(1, 161)))
+    changes = [("--set", f"{key}={numbers}") for key in ("seed", "motion.feed_mm_s", "coupling.stiffness_N_m")]
+    message = refused("sweep", "wall", *(word for change in changes for word in change), "--out", tmp_path / "out")
+    assert "got 4096000 combinations" in message and not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match="at most"):
+        import tissue
+
+        tissue.sweep("wall", {"seed": iter(int, 1)}, out=tmp_path / "out")
+
+
+def ended(arguments, **options):
+    """Exit code, standard output and standard error of the command in a process of its own."""
+    process = subprocess.run(
+        [*MAIN, *arguments], capture_output=True, check=False, timeout=300, errors="backslashreplace", **options
+    )
+    return process.returncode, process.stdout, process.stderr
+
+
+@pytest.mark.slow
+def test_a_working_directory_that_is_gone_is_named(tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    remove = [
+        sys.executable,
+        "-c",
+        f"import os; os.rmdir({str(gone)!r}); os.execv({sys.executable!r}, {[*MAIN, *WALL]!r})",
+    ]
+    process = subprocess.run(remove, cwd=gone, capture_output=True, text=True, check=False, timeout=300)
+    assert process.returncode == 2 and process.stderr.count("\n") == 1
+    assert "the working directory must exist" in process.stderr
+
+
+@pytest.mark.slow
+def test_a_stream_that_takes_ascii_alone_is_served(tmp_path):
+    arguments = ("run", "milling", "--set", "voxels.spacing_mm=0.8", "--duration-s", "0.02", "--no-pictures")
+    code, out, error = ended(
+        [*arguments, "--out", str(tmp_path / "out")], env=os.environ | {"PYTHONIOENCODING": "ascii"}
+    )
+    assert code == 0 and error == "" and "removed" in out and out.isascii()
+
+
+@pytest.mark.slow
+def test_streams_that_are_closed_are_no_place_for_files(tmp_path):
+    """What a library prints to a closed stream would go into the file that was opened first."""
+    out = tmp_path / "out"
+    close = "import os; [os.close(number) for number in (0, 1, 2)]; from tissue.cli.main import main; main()"
+    command = [sys.executable, "-c", close, *WALL, "--out", str(out)]
+    assert subprocess.run(command, check=False, timeout=300).returncode == 0
+    held = json.loads((out / "summary.json").read_text())
+    lines = (out / "trace.csv").read_text().splitlines()
+    assert held["status"] == "complete" and len(lines) == 51 and lines[0].startswith("time_s,")
+    command[-1] = str(tmp_path / "out")  # which is there now
+    assert subprocess.run(command, check=False, timeout=300).returncode == 2
