@@ -20,6 +20,7 @@ def solve_once(
     compliance: wp.float64,
     friction: wp.float64,
     free: wp.array(dtype=wp.vec3d),
+    last: wp.array(dtype=wp.vec3d),  # rubbing force and its arm of the tick before
     wrench_out: wp.array(dtype=wp.vec3d),  # rubbing force and its arm
     members_out: wp.array(dtype=wp.int32),
 ):
@@ -31,8 +32,8 @@ def solve_once(
         wp.float64(1.0e-13),
         free[0],
         free[1],
-        wp.vec3d(),
-        wp.vec3d(),
+        last[0],
+        last[1],
         wp.float64(1.0e-13),
     )
     wrench_out[0] = rub
@@ -40,7 +41,7 @@ def solve_once(
     members_out[0] = members
 
 
-def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None):
+def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None, last=np.zeros((2, 3))):
     """Normal forces, friction force and its arm."""
     count = len(gaps)
     clearance = Contacts()
@@ -56,10 +57,9 @@ def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None):
     clearance.lower = wp.zeros((MEMBERS, MEMBERS), dtype=wp.float64, device="cpu")
     clearance.side = wp.zeros((MEMBERS, 3), dtype=wp.float64, device="cpu")
     out, members = wp.zeros(2, dtype=wp.vec3d, device="cpu"), wp.zeros(1, dtype=wp.int32, device="cpu")
-    start = wp.array(free, dtype=wp.vec3d, device="cpu")
-    wp.launch(
-        solve_once, dim=1, inputs=[clearance, count, compliance, friction, start], outputs=[out, members], device="cpu"
-    )
+    start, before = (wp.array(each, dtype=wp.vec3d, device="cpu") for each in (free, last))
+    inputs = [clearance, count, compliance, friction, start, before]
+    wp.launch(solve_once, dim=1, inputs=inputs, outputs=[out, members], device="cpu")
     return clearance.press.numpy(), *out.numpy()
 
 
@@ -147,3 +147,45 @@ def test_friction_holds_or_works_against_the_slip(friction):
             assert against == pytest.approx(1.0, abs=1e-4)
             slipped += 1
     assert slipped > 5 or stuck > 5
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.4])
+def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
+    """A groove of random planes: friction changes what each presses, and is bounded by what they press with it.
+
+    All laws at once, after some ticks at one place: no plane is entered, none pulls, one of both is zero; friction acts
+    at the centre of pressure across the resultant, at most the coefficient times the sum of the normal forces, and
+    holds that point or opposes its slip.
+    """
+    random = np.random.default_rng(7)
+    compliance, stuck, slipped = 5e-3**-2, 0, 0
+    for _ in range(20):
+        count = int(random.integers(2, 5))
+        arms = random.normal(size=(count, 3)) * 1e-3
+        normals = random.normal(loc=(0.0, 0.0, 2.5), scale=(0.7, 0.7, 0.3), size=(count, 3))
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        free = np.array([random.normal(size=3) * 1e-3 - [0.0, 0.0, 3e-3], random.normal(size=3) * 0.05])
+        given = arms, normals, np.zeros(count), free
+        press, last = None, np.zeros((2, 3))
+        for _ in range(40):
+            press, *last = solved(*given, compliance=compliance, friction=friction, press=press, last=np.array(last))
+        rub, arm = last
+        shift, turn = moved(arms, normals, press, free, compliance=compliance, rub=rub, arm=arm)
+        gaps = normals @ shift + np.cross(arms, normals) @ turn
+        total, along = press.sum(), press @ normals
+        assert press.min() >= 0.0 and total > 0.0
+        assert gaps.min() >= -1e-12 and np.abs(gaps[press > 0.0]).max() < 1e-12
+        assert arm == pytest.approx(press @ arms / total, abs=2e-6)
+        size = np.linalg.norm(rub)
+        assert abs(rub @ along) <= 1e-4 * size * np.linalg.norm(along)
+        slip = shift + np.cross(turn, arm)
+        slip -= (slip @ along) * along / (along @ along)
+        slid = np.linalg.norm(slip)
+        assert size <= friction * total * (1.0 + 1e-6)
+        if size < friction * total * (1.0 - 1e-6):
+            assert slid < 1e-9
+            stuck += 1
+        else:
+            assert -rub @ slip == pytest.approx(size * slid, rel=1e-4)
+            slipped += 1
+    assert slipped > 5 and (stuck > 3 or friction < 0.2)

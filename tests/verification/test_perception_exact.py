@@ -72,6 +72,19 @@ def test_moments_of_intensity_are_those_of_quadrature():
         assert law.spread(force) == pytest.approx(np.sqrt(square - mean**2), rel=1e-9)
 
 
+@pytest.mark.parametrize("uncertain", [0.0, 0.25, 0.5])
+def test_the_scatter_of_a_rating_is_the_mean_of_sigma_squared(uncertain):
+    """Gauss-Hermite over ln sigma, 60 nodes, and over the noise of one rating, against the law's scatter and spread."""
+    observer = person(sigma=0.3, spread={"sigma": uncertain})
+    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
+    weights = weights / weights.sum()
+    mean_square = weights @ (0.3 * np.exp(uncertain * nodes)) ** 2
+    law = intensity_of(observer)
+    assert law.scatter == pytest.approx(mean_square, rel=1e-10)
+    # Everything else is known: a rating is the intensity of 2 N times 1 + sigma times a standard normal number.
+    assert law.spread(2.0) == pytest.approx(law.expected(2.0) * np.sqrt(mean_square), rel=1e-10)
+
+
 def test_intensity_is_inverted_for_every_observer():
     forces = np.geomspace(0.05, 50.0, 400)
     for observer in people(100, 2):

@@ -8,7 +8,7 @@ from tissue import InputError
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import FollowPath, PushAlongAxis, frame_along, matrix_of, quaternion_of
 from tissue.motion.quaternion import turn_between
-from tissue.motion.replay import ReplayPoses, read_replay
+from tissue.motion.replay import GivenPoses, ReplayPoses, read_replay
 
 STEP_S = 1e-3
 Z = (0.0, 0.0, 1.0)
@@ -169,3 +169,20 @@ def test_matrices_and_quaternions_agree_with_scipy():
         other = Rotation.random(random_state=2)
         expected = (other * rotation.inv()).as_rotvec()
         assert np.array(turn_between(quaternion, other.as_quat())) == pytest.approx(expected, abs=1e-12)
+
+
+def test_given_poses_begin_at_rest_at_the_first_one():
+    """A tool has no direction before its first step, whatever the first step is."""
+    turns = Rotation.from_rotvec([[0.0, 0.0, 0.1], [0.0, 0.3, 0.0], [0.2, 0.0, 0.0]])
+    tips = np.array([[1e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3], [2e-3, 4e-3, 3e-3]])
+    given, motion = GivenPoses(np.array([0.0, 1e-3, 2e-3]), tips, turns), ToolMotion()
+    motion.heading[:] = 1.0
+    given.begin(motion)
+    assert motion.tip_m == pytest.approx(tips[0]) and motion.rotation == pytest.approx(turns[0].as_matrix())
+    assert not motion.heading.any()
+    given.advance(2e-3, 1e-3, Response.empty(1), motion)
+    turned = (turns[2] * turns[1].inv()).as_rotvec()
+    assert motion.speed_m_s == pytest.approx(2.0)
+    assert motion.heading == pytest.approx(np.array([[0.0, 1.0, 0.0], turned / 2e-3]))
+    given.advance(3e-3, 1e-3, Response.empty(1), motion)
+    assert motion.speed_m_s == 0.0 and motion.tip_m == pytest.approx(tips[2])
