@@ -144,3 +144,16 @@ def test_every_visit_of_the_bone_is_counted():
     bone.carver.restore(state)
     counts.append(bone.carver.changes)
     assert counts == sorted(set(counts))
+
+
+def test_a_long_step_is_carved_in_parts_of_half_a_voxel_at_most():
+    """The move of a tick from 0.3 to 10 voxels: once for every half voxel that it begins, a short one by its debt."""
+    for travel, parts in ((0.55, 2), (1.2, 3), (9.9, 20)):
+        bone = solid_bone(3e-4, 1.6e-3)
+        motion = ToolMotion(speed_m_s=1e-3)
+        motion.heading[0] = (0.0, 0.0, -1.0)
+        bone.place(motion)
+        before = bone.carver.changes
+        motion.tip_m[2] = -travel * SPACING_M
+        bone.advance(motion)
+        assert bone.carver.changes - before == parts
