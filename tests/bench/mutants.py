@@ -222,7 +222,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Plant errors, run the tests that guard them, print the score.")
     parser.add_argument("--count", type=int, default=200, help="mutants to count (default: 200)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the draw (default: 1)")
-    parser.add_argument("--fresh", action="store_true", help="draw from the code instead of mutants_recorded.txt")
+    parser.add_argument("--fresh", action="store_true", help="draw from the code instead of a file of addresses")
+    parser.add_argument("--recorded", type=Path, default=RECORDED, help="addresses to draw from (default: %(default)s)")
     parser.add_argument("--only", default="", help="part of the names of the modules to draw from")
     parser.add_argument("--like", default="", help="part of the addresses to draw")
     parser.add_argument("--workers", type=int, default=2, help="processes at once (default: 2)")
@@ -235,7 +236,7 @@ def main() -> None:
     if options.fresh:
         draw = (each.address for each in fresh(table, options.seed, options.only))
     else:
-        recorded = [line for line in RECORDED.read_text().splitlines() if line not in table.equivalent]
+        recorded = [line for line in options.recorded.read_text().splitlines() if line not in table.equivalent]
         draw = (each for each in sorted(recorded, key=lambda line: _rank(options.seed, line)) if options.only in each)
     with tempfile.TemporaryDirectory(prefix="tissue-mutants-") as name:
         folder = Path(name)
