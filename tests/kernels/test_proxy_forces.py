@@ -149,38 +149,55 @@ def test_friction_holds_or_works_against_the_slip(friction):
     assert slipped > 5 or stuck > 5
 
 
+def slanted_planes(random):
+    """A few planes of a groove, and a free motion into it."""
+    count = int(random.integers(2, 5))
+    arms = random.normal(size=(count, 3)) * 1e-3
+    normals = random.normal(loc=(0.0, 0.0, 2.5), scale=(0.7, 0.7, 0.3), size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    free = np.array([random.normal(size=3) * 1e-3 - [0.0, 0.0, 3e-3], random.normal(size=3) * 0.05])
+    return arms, normals, np.zeros(count), free
+
+
+def after_ticks(given, *, friction, press=None, last=np.zeros((2, 3)), ticks=20):
+    """Normal forces, friction force and its arm after some ticks at one place."""
+    for _ in range(ticks):
+        press, *last = solved(*given, compliance=GROOVE, friction=friction, press=press, last=np.array(last))
+    return press, *last
+
+
+GROOVE = 5e-3**-2
+
+
+def slip_of(given, press, rub, arm):
+    """Motion of the point where friction acts, across the planes' resultant, and that resultant."""
+    arms, normals, _, free = given
+    shift, turn = moved(arms, normals, press, free, compliance=GROOVE, rub=rub, arm=arm)
+    along, slip = press @ normals, shift + np.cross(turn, arm)
+    return slip - (slip @ along) * along / (along @ along), along
+
+
 @pytest.mark.parametrize("friction", [0.1, 0.4])
 def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
     """A groove of random planes: friction changes what each presses, and is bounded by what they press with it.
 
-    All laws at once, after some ticks at one place: no plane is entered, none pulls, one of both is zero; friction acts
-    at the centre of pressure across the resultant, at most the coefficient times the sum of the normal forces, and
-    holds that point or opposes its slip.
+    All laws at once: no plane is entered, none pulls, one of both is zero; friction acts at the centre of pressure
+    across the resultant, at most the coefficient times the sum of the normal forces, and holds that point or opposes
+    its slip.
     """
     random = np.random.default_rng(7)
-    compliance, stuck, slipped = 5e-3**-2, 0, 0
-    for _ in range(20):
-        count = int(random.integers(2, 5))
-        arms = random.normal(size=(count, 3)) * 1e-3
-        normals = random.normal(loc=(0.0, 0.0, 2.5), scale=(0.7, 0.7, 0.3), size=(count, 3))
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        free = np.array([random.normal(size=3) * 1e-3 - [0.0, 0.0, 3e-3], random.normal(size=3) * 0.05])
-        given = arms, normals, np.zeros(count), free
-        press, last = None, np.zeros((2, 3))
-        for _ in range(40):
-            press, *last = solved(*given, compliance=compliance, friction=friction, press=press, last=np.array(last))
-        rub, arm = last
-        shift, turn = moved(arms, normals, press, free, compliance=compliance, rub=rub, arm=arm)
+    stuck = slipped = 0
+    for _ in range(16):
+        given = arms, normals, _, free = slanted_planes(random)
+        press, rub, arm = after_ticks(given, friction=friction)
+        shift, turn = moved(arms, normals, press, free, compliance=GROOVE, rub=rub, arm=arm)
         gaps = normals @ shift + np.cross(arms, normals) @ turn
-        total, along = press.sum(), press @ normals
+        slip, along = slip_of(given, press, rub, arm)
+        total, size, slid = press.sum(), np.linalg.norm(rub), np.linalg.norm(slip)
         assert press.min() >= 0.0 and total > 0.0
         assert gaps.min() >= -1e-12 and np.abs(gaps[press > 0.0]).max() < 1e-12
         assert arm == pytest.approx(press @ arms / total, abs=2e-6)
-        size = np.linalg.norm(rub)
         assert abs(rub @ along) <= 1e-4 * size * np.linalg.norm(along)
-        slip = shift + np.cross(turn, arm)
-        slip -= (slip @ along) * along / (along @ along)
-        slid = np.linalg.norm(slip)
         assert size <= friction * total * (1.0 + 1e-6)
         if size < friction * total * (1.0 - 1e-6):
             assert slid < 1e-9
@@ -189,3 +206,22 @@ def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
             assert -rub @ slip == pytest.approx(size * slid, rel=1e-4)
             slipped += 1
     assert slipped > 5 and (stuck > 3 or friction < 0.2)
+
+
+def test_a_groove_holds_up_to_the_coefficient_that_it_needs():
+    """What friction pulls, over what all planes press, is the coefficient needed: 1 % more holds, 1 % less slips."""
+    random, seen = np.random.default_rng(11), 0
+    for _ in range(16):
+        given = slanted_planes(random)
+        press, rub, arm = after_ticks(given, friction=1.0)
+        needed = np.linalg.norm(rub) / press.sum()
+        slip, _ = slip_of(given, press, rub, arm)
+        if needed > 0.9 or np.linalg.norm(slip) > 1e-9:
+            continue
+        for share, slips in ((1.01, False), (0.99, True)):
+            again = after_ticks(given, friction=share * needed, press=press, last=np.array([rub, arm]))
+            slid = np.linalg.norm(slip_of(given, *again)[0])
+            assert (slid > 1e-8) == slips
+            assert np.linalg.norm(again[1]) == pytest.approx(min(share, 1.0) * needed * again[0].sum(), rel=1e-6)
+        seen += 1
+    assert seen > 5

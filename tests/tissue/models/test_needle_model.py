@@ -151,6 +151,21 @@ def test_events_are_emitted_once_in_their_order():
     assert model.notices[2:] == ["the needle has left the organ"] * 2
 
 
+def test_an_organ_that_clings_to_the_needle_above_its_surface_keeps_its_track():
+    """Drawn up to 2 mm above the surface the organ still holds 6 mm of the shaft; moved aside and down, it still does.
+
+    Straight down again the shaft sticks, so the held length stays and the organ is drawn up that much less.
+    """
+    model = needle(LIVER)
+    go(model, [-1.0, 30.0])
+    go(model, [30.0, -2.0])
+    held, drawn = model.insertion.inserted_m, model.insertion.deflection_m
+    assert held > 5e-3 and model.insertion.travel_m == pytest.approx(-2e-3)
+    go(model, [-2.0, 0.5], sideways_mm=2.0)
+    assert model.insertion.inserted_m == held and model.insertion.punctured == 1
+    assert model.insertion.deflection_m == pytest.approx(drawn + 2.5e-3, abs=1e-12)
+
+
 def test_a_needle_that_goes_in_elsewhere_punctures_again():
     model = needle(LIVER)
     go(model, [-1.0, 30.0, -20.0])
