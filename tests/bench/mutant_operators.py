@@ -100,7 +100,7 @@ class _Walk:
 
     def body(self, node: ast.AST, scope: str) -> None:
         """Visit the statements of a module, class or function."""
-        for statement in node.body:  # type: ignore[attr-defined]
+        for statement in node.body:
             self._statement(statement, scope)
 
     def _statement(self, node: ast.stmt, scope: str) -> None:
@@ -144,8 +144,8 @@ class _Walk:
                 text = f"({text})"
         change = f"{before}  ->  {after}".replace("\n", " ")
         key = f"{scope} | {operator} | {change}"
-        start = self._starts[node.lineno - 1] + node.col_offset  # type: ignore[attr-defined]
-        end = self._starts[node.end_lineno - 1] + node.end_col_offset  # type: ignore[attr-defined]
+        start = self._starts[node.lineno - 1] + node.col_offset
+        end = self._starts[node.end_lineno - 1] + node.end_col_offset
         self.found.append(Mutant(self.module, scope, operator, change, self._counts[key], (start, end), text))
         self._counts[key] += 1
 
@@ -162,9 +162,7 @@ def _changes(node: ast.AST, parent: ast.AST) -> Iterator[tuple[str, ast.expr]]:
         elif isinstance(node.op, ast.Mult):
             yield "term", left
             yield "term", right
-        elif isinstance(node.op, ast.Div):
-            yield "term", left
-        elif isinstance(node.op, ast.Pow):
+        elif isinstance(node.op, ast.Div | ast.Pow):
             yield "term", left
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         if not (isinstance(node.operand, ast.Constant) and isinstance(parent, ast.Subscript | ast.Slice)):
@@ -174,7 +172,9 @@ def _changes(node: ast.AST, parent: ast.AST) -> Iterator[tuple[str, ast.expr]]:
     elif isinstance(node, ast.Compare) and len(node.ops) == 1:
         kind = type(node.ops[0])
         yield "comparator", ast.Compare(node.left, [NEGATED[kind]()], node.comparators)
-        counts = any(isinstance(side, ast.Constant) and type(side.value) is int for side in (node.left, *node.comparators))
+        counts = any(
+            isinstance(side, ast.Constant) and type(side.value) is int for side in (node.left, *node.comparators)
+        )
         if kind in BOUNDARY and (counts or isinstance(parent, ast.While)):
             yield "off by one", ast.Compare(node.left, [BOUNDARY[kind]()], node.comparators)
     elif isinstance(node, ast.BoolOp):

@@ -6,6 +6,7 @@ import os
 import resource
 import shutil
 import signal
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -48,14 +49,22 @@ class Verdict:
 
 
 def preload() -> None:
-    """Import what is slow to import, and start Warp."""
+    """Import what is slow to import, with one thread for linear algebra, and start Warp."""
+    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[threads] = "1"
     for name in PRELOADED:
         with suppress(ImportError):
             importlib.import_module(name)
     import warp
 
     warp.config.log_level = warp.LOG_ERROR
+    # Warp's native part reports a missing GPU on standard error, whatever the level.
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
     warp.init()
+    os.dup2(kept, 2)
+    os.close(kept)
+    os.close(nowhere)
 
 
 def file_of(module: str, root: Path) -> Path | None:
@@ -124,8 +133,8 @@ class _Watch:
         self._note(report)
 
     def _note(self, report: object) -> None:
-        if report.failed:  # type: ignore[attr-defined]
-            self.failures.append((report.nodeid, str(report.longrepr)))  # type: ignore[attr-defined]
+        if report.failed:
+            self.failures.append((report.nodeid, str(report.longrepr)))
 
 
 class _Child:
@@ -146,8 +155,6 @@ class _Child:
 
     def _inside(self, tree: Tree, tests: Sequence[str], first: Sequence[str], stop: bool) -> int:
         """Run the tests in the forked process and write down the failures."""
-        import sys
-
         import pytest
 
         os.setsid()
@@ -204,7 +211,9 @@ class Runs:
         self._free = [Tree(source, folder / f"worker-{at}") for at in range(workers)]
         self._busy: list[tuple[_Child, Tree, Callable[[Verdict], None]]] = []
 
-    def start(self, mutant: Mutant, tests: Sequence[str], first: Sequence[str], done: Callable[[Verdict], None]) -> None:
+    def start(
+        self, mutant: Mutant, tests: Sequence[str], first: Sequence[str], done: Callable[[Verdict], None]
+    ) -> None:
         """Run the tests on a mutant as soon as a tree is free, and hand the verdict to ``done``."""
         while not self._free:
             self._poll()

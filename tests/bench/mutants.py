@@ -8,6 +8,7 @@ planted after files have moved.
 
 import argparse
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -17,9 +18,6 @@ from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from hashlib import blake2b
 from pathlib import Path
-
-for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_threads] = "1"
 
 from mutant_operators import OPERATORS, Mutant, mutants_of
 from mutant_runs import PACKAGES, Runs, Verdict, file_of, preload
@@ -65,7 +63,9 @@ class Table:
         if self._all is None:
             paths = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
             names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths]
-            self._all = [each for name, path in zip(names, paths, strict=True) for each in mutants_of(name, path.read_text())]
+            self._all = [
+                each for name, path in zip(names, paths, strict=True) for each in mutants_of(name, path.read_text())
+            ]
         found = [each for each in self._all if each.place == place]
         return found[0] if len(found) == 1 else None
 
@@ -151,7 +151,9 @@ class Score:
             print(f"{operator}: {share[True]} of {sum(share.values())} caught")
         percent = 100.0 * self.caught / max(self.counted, 1)
         print(f"mutation score: {self.caught} of {self.counted} caught, {percent:.1f} %")
-        print(f"left out: {len(self.table.equivalent)} listed as equivalent, {len(self.verdicts) - self.counted} do not compile")
+        print(
+            f"left out: {len(self.table.equivalent)} listed as equivalent, {len(self.verdicts) - self.counted} do not compile"
+        )
 
 
 def _location(mutant: Mutant) -> str:
@@ -193,7 +195,11 @@ def measure(table: Table, draw: Iterator[str], count: int, *, workers: int, limi
 def _require_sound(runs: Runs, score: Score, table: Table) -> None:
     """Stop if a test that caught an error also fails without one."""
     killers = sorted({verdict.test for _, verdict in score.verdicts.values() if verdict.outcome == "failed"})
-    slow = {each.split(" | ")[0] for each, (_, verdict) in score.verdicts.items() if verdict.outcome in ("timeout", "crashed")}
+    slow = {
+        each.split(" | ")[0]
+        for each, (_, verdict) in score.verdicts.items()
+        if verdict.outcome in ("timeout", "crashed")
+    }
     failing = runs.failing(killers, limit_s=20 * runs.limit_s) if killers else []
     for module in sorted(slow):
         failing += runs.failing(table.guards[module], limit_s=runs.limit_s)
@@ -215,6 +221,14 @@ def coverage(table: Table, folder: Path) -> None:
         cwd=ROOT, env=environment, check=True,
     )  # fmt: skip
     subprocess.run([*command, "report", data, "--skip-covered"], cwd=ROOT, env=environment, check=True)
+
+
+def _take_kernels(folder: Path) -> None:
+    """Use a kernel cache of this run alone, which starts with what the user's cache holds."""
+    held = Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache" / "warp")
+    if held.is_dir():
+        shutil.copytree(held, folder, dirs_exist_ok=True)
+    os.environ["WARP_CACHE_PATH"] = str(folder)
 
 
 def main() -> None:
@@ -240,7 +254,7 @@ def main() -> None:
         draw = (each for each in sorted(recorded, key=lambda line: _rank(options.seed, line)) if options.only in each)
     with tempfile.TemporaryDirectory(prefix="tissue-mutants-") as name:
         folder = Path(name)
-        os.environ["WARP_CACHE_PATH"] = str(folder / "warp")
+        _take_kernels(folder / "warp")
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
         preload()
         print(f"{options.count} mutants, seed {options.seed}, {options.workers} processes", flush=True)

@@ -59,6 +59,6 @@ def test_the_ball_around_a_shell_lies_halfway_between_its_ends():
     """Rings of 3 mm radius at heights of 1 mm and 9 mm: a ball of 5 mm around (0, 0, 5) mm."""
     turn = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
     ring = 3e-3 * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(16)])
-    points = np.vstack([ring + [0.0, 0.0, 1e-3], ring + [0.0, 0.0, 9e-3]])
+    points = np.vstack([ring, ring]) + np.repeat([[0.0, 0.0, 1e-3], [0.0, 0.0, 9e-3]], 16, axis=0)
     shell = ShellProbe(points, np.vstack([ring, ring]) / 3e-3, np.full(32, 1e-6))
     assert shell.size_m == pytest.approx((5e-3, 5e-3))

@@ -9,6 +9,7 @@ from kernels.proxy_contacts import Contacts
 from kernels.proxy_forces import MEMBERS
 from kernels.proxy_friction import resolve
 
+NOTHING = np.zeros((2, 3))
 EXACT = 1e-9
 """Of lengths of a few mm: the set's matrix is stiffened by 1e-13 and its condition reaches 1e4."""
 
@@ -41,7 +42,7 @@ def solve_once(
     members_out[0] = members
 
 
-def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None, last=np.zeros((2, 3))):
+def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None, last=NOTHING):
     """Normal forces, friction force and its arm."""
     count = len(gaps)
     clearance = Contacts()
@@ -159,7 +160,7 @@ def slanted_planes(random):
     return arms, normals, np.zeros(count), free
 
 
-def after_ticks(given, *, friction, press=None, last=np.zeros((2, 3)), ticks=20):
+def after_ticks(given, *, friction, press=None, last=NOTHING, ticks=20):
     """Normal forces, friction force and its arm after some ticks at one place."""
     for _ in range(ticks):
         press, *last = solved(*given, compliance=GROOVE, friction=friction, press=press, last=np.array(last))
