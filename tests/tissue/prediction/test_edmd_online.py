@@ -149,8 +149,8 @@ def test_what_was_known_weighs_as_one_memory_of_samples(forgetting):
     found = online.operator(cap=None)
     linear = wanted[:-1].T * start.scale[:, None] / scale
     of_states, of_inputs = np.split(linear, [len(start.scale)], axis=1)
-    assert found.A == pytest.approx(of_states, abs=1e-7)
-    assert found.B == pytest.approx(of_inputs, abs=1e-7)
+    np.testing.assert_allclose(found.A, of_states, atol=1e-7)
+    np.testing.assert_allclose(found.B, of_inputs, atol=1e-7)
     constant = wanted[-1] * start.scale + start.middle - linear @ middle
     assert found.offset == pytest.approx(constant, abs=1e-7)
     assert np.abs(found.A - start.A).max() > 1e-4

@@ -43,6 +43,16 @@ def test_it_is_given_copies_and_gives_copies():
     assert outside.predict(2.0) == pytest.approx(np.array([2.0, 0.2, 0.0]))
 
 
+def test_one_with_both_methods_is_guarded_by_holding_the_force():
+    guarded, zero = GuardedMaker("line", Line)(None, 3.0), np.zeros(3)
+    guarded.observe(zero, zero, np.ones(3))
+    assert guarded.predict(2.0) == pytest.approx(np.array([2.0, 0.2, 0.0]))
+    guarded.inner.inner.trusted = False
+    for _ in range(40):
+        guarded.observe(zero, zero, np.ones(3))
+    assert guarded.predict(2.0) == pytest.approx(np.ones(3))
+
+
 def test_what_is_missing_is_named():
     with pytest.raises(InputError, match="predict"):
         GuardedMaker("half", lambda: type("Half", (), {"observe": print})())(None, 3.0)
