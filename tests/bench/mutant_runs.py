@@ -26,7 +26,7 @@ PRELOADED = (
 )  # fmt: skip
 """Modules that are imported once, before any process is forked."""
 CODE_ERRORS = ("codegen.py", "WarpCodegen", "kernel build failed")
-"""Marks of kernels that do not compile: such a mutant says nothing about the tests."""
+"""Marks of kernels that do not compile: such a mutant shows nothing about the tests."""
 POLL_S = 0.02
 LONGEST_WALL = 8.0
 """Wall time after which a process is stopped, over its limit of processor time."""
@@ -102,7 +102,7 @@ class Tree:
 
         self._restore = restore
         path.write_text(mutant.applied(source))
-        # Python tells a compiled module from a stale one by whole seconds and size alone.
+        # Python compares the compiled module with its source by whole seconds and size only.
         self._stamp += 10
         os.utime(path, (self._stamp, self._stamp))
 
@@ -167,10 +167,10 @@ class _Child:
         os.environ["TISSUE_CACHE"] = str(self.work / "cache")
         os.environ["PYTHONPATH"] = str(tree.root)
         sys.path[:] = [str(tree.root), *(each for each in sys.path if each and Path(each) != Path(__file__).parent)]
-        watch = _Watch(first)
+        observer = _Watch(first)
         options = ["-p", "no:cacheprovider", "--basetemp", str(self.work / "tmp"), *(["-x"] if stop else [])]
-        code = int(pytest.main([*options, *tests], plugins=[watch]))
-        (self.work / "failures.json").write_text(json.dumps(watch.failures))
+        code = int(pytest.main([*options, *tests], plugins=[observer]))
+        (self.work / "failures.json").write_text(json.dumps(observer.failures))
         return code
 
     def ended(self) -> bool:

@@ -43,8 +43,8 @@ def test_a_small_basis_keeps_the_largest_eigenvalues_and_each_node_s_own_block(e
     values, vectors = np.linalg.eigh(exact)
     wanted = (vectors[:, -6:] * values[-6:]) @ vectors[:, -6:].T
     for node in range(len(TOUCHABLE)):
-        own = slice(3 * node, 3 * node + 3)
-        wanted[own, own] = exact[own, own]
+        part = slice(3 * node, 3 * node + 3)
+        wanted[part, part] = exact[part, part]
     assert found == pytest.approx(wanted, abs=1e-9 * np.abs(exact).max())
 
 

@@ -13,7 +13,7 @@ STEP_M = 1e-4
 
 
 class GivenPath:
-    """A device that goes on by so much a tick, with a stretch that is told."""
+    """A device that goes on by so much a tick, with a stretch that is given."""
 
     trusted = True
 
@@ -97,7 +97,7 @@ def test_between_answers_the_contact_is_that_share_of_the_spring():
 
 
 def law_of(rng):
-    """A tissue's slope that is stiffer one way than the others, not symmetric."""
+    """A tissue's slope that is stiffer along one axis than along the others, not symmetric."""
     return SPRING * (np.diag([0.5, 1.0, 3.0]) + 0.1 * rng.normal(size=(3, 3)))
 
 
@@ -108,51 +108,51 @@ def test_a_contact_is_balanced_at_the_end_of_the_path(seed):
     stiffness, step = law_of(rng), rng.normal(size=3) * 2e-5
     tip, force = rng.normal(size=3) * 1e-2, np.array([0.2, -0.1, 1.5])
     device = tip - force / SPRING
-    ahead = LookAhead(GivenPath(step))
-    ahead.meet(Contact(SPRING, tip, force, stiffness))
-    ahead.observe(device, np.zeros(3), force)
+    predictor = LookAhead(GivenPath(step))
+    predictor.meet(Contact(SPRING, tip, force, stiffness))
+    predictor.observe(device, np.zeros(3), force)
     for ticks in (1.0, 4.5):
         there = device + ticks * step
         moved = np.linalg.solve(SPRING * np.eye(3) + stiffness, SPRING * there + force + stiffness @ tip)
-        assert ahead.predict(ticks) == pytest.approx(SPRING * (moved - there), rel=1e-9)
+        assert predictor.predict(ticks) == pytest.approx(SPRING * (moved - there), rel=1e-9)
     # What the damper of the coupling adds now, it adds there.
     damper = np.array([0.05, 0.02, -0.04])
-    ahead.observe(device, np.zeros(3), force + damper)
-    assert ahead.predict(4.5) == pytest.approx(SPRING * (moved - there) + damper, rel=1e-9)
+    predictor.observe(device, np.zeros(3), force + damper)
+    assert predictor.predict(4.5) == pytest.approx(SPRING * (moved - there) + damper, rel=1e-9)
 
 
 def test_a_tissue_that_would_pull_has_let_go():
-    ahead = LookAhead(GivenPath((0.0, 0.0, 1e-4)))
+    predictor = LookAhead(GivenPath((0.0, 0.0, 1e-4)))
     force = np.array([0.0, 0.0, 0.1])
-    ahead.meet(Contact(SPRING, np.zeros(3), force, SPRING * np.eye(3)))
-    ahead.observe(-force / SPRING, np.zeros(3), force)
+    predictor.meet(Contact(SPRING, np.zeros(3), force, SPRING * np.eye(3)))
+    predictor.observe(-force / SPRING, np.zeros(3), force)
     # The force falls by k / 2 for each metre: 0.1 N are gone after 0.5 mm, five ticks.
-    assert ahead.predict(4.0)[2] == pytest.approx(0.1 - 0.5 * SPRING * 4e-4)
-    assert ahead.predict(6.0).tolist() == [0.0, 0.0, 0.0]
+    assert predictor.predict(4.0)[2] == pytest.approx(0.1 - 0.5 * SPRING * 4e-4)
+    assert predictor.predict(6.0).tolist() == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_free_tool_comes_to_the_surface_by_its_gap(known):
     """A gap of 0.25 mm, 0.1 mm a tick: stiff as the last contact in series with the spring, or as good as rigid."""
-    ahead = LookAhead(GivenPath((0.0, 0.0, -1e-4)))
+    predictor = LookAhead(GivenPath((0.0, 0.0, -1e-4)))
     ratio = RIGID
     if known:
         ratio = 0.25
-        ahead.meet(Contact(SPRING, np.zeros(3), np.array([0.0, 0.0, 1.0]), ratio * SPRING * np.diag([2.0, 3.0, 1.0])))
+        predictor.meet(Contact(SPRING, np.zeros(3), np.array([0.0, 0.0, 1.0]), ratio * SPRING * np.diag([2.0, 3.0, 1.0])))
     normal = np.array([0.0, 0.0, 1.0])
-    ahead.meet(Contact(SPRING, np.zeros(3), np.zeros(3), None, 2.5e-4, normal))
-    ahead.observe(np.zeros(3), np.zeros(3), np.zeros(3))
-    assert ahead.predict(2.0).tolist() == [0.0, 0.0, 0.0]
+    predictor.meet(Contact(SPRING, np.zeros(3), np.zeros(3), None, 2.5e-4, normal))
+    predictor.observe(np.zeros(3), np.zeros(3), np.zeros(3))
+    assert predictor.predict(2.0).tolist() == [0.0, 0.0, 0.0]
     wanted = SPRING * ratio / (1.0 + ratio) * 1.5e-4
-    assert ahead.predict(4.0) == pytest.approx(wanted * normal, rel=1e-9)
+    assert predictor.predict(4.0) == pytest.approx(wanted * normal, rel=1e-9)
 
 
 def test_a_tool_that_cuts_is_stretched_as_its_path_foresees():
-    ahead = LookAhead(GivenPath(stretch_m=(0.0, 1e-4, 2e-4)))
+    predictor = LookAhead(GivenPath(stretch_m=(0.0, 1e-4, 2e-4)))
     force = np.array([0.0, 0.1, 0.3])
-    ahead.meet(Contact(SPRING, np.zeros(3), force, cuts=True))
-    ahead.observe(np.zeros(3), np.zeros(3), force)
-    assert ahead.predict(3.0) == pytest.approx(SPRING * np.array([0.0, 3e-4, 6e-4]))
-    assert ahead.predict(0.0) == pytest.approx(force)
-    ahead.observe(np.zeros(3), np.zeros(3), force)
-    assert ahead.residual_N == pytest.approx(np.linalg.norm(force - SPRING * np.array([0.0, 1e-4, 2e-4])))
+    predictor.meet(Contact(SPRING, np.zeros(3), force, cuts=True))
+    predictor.observe(np.zeros(3), np.zeros(3), force)
+    assert predictor.predict(3.0) == pytest.approx(SPRING * np.array([0.0, 3e-4, 6e-4]))
+    assert predictor.predict(0.0) == pytest.approx(force)
+    predictor.observe(np.zeros(3), np.zeros(3), force)
+    assert predictor.residual_N == pytest.approx(np.linalg.norm(force - SPRING * np.array([0.0, 1e-4, 2e-4])))

@@ -10,7 +10,7 @@ NOISE, DRIFT, UNKNOWN = 1e-6, 50.0, 1.0
 
 
 @pytest.mark.parametrize("step_m", [1e-7, 1e-6, 1e-5])
-def test_the_first_step_is_believed_by_its_length_over_the_noise(step_m):
+def test_the_first_step_counts_by_its_length_over_the_noise(step_m):
     """A step s along x shows s^2 / (s^2 + 1 um^2) of the slope: half of it at a micrometre."""
     slope, stiffness = ContactSlope(), np.array([[0.6, 0.1, 0.0], [0.0, 0.3, 0.0], [0.2, 0.0, 0.4]])
     slope.observe(np.zeros(3), np.array([1e-3, 0.0, 0.0]))
