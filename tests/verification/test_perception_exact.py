@@ -238,3 +238,14 @@ def test_a_sense_scatters_by_its_threshold_and_is_the_steady_filter():
 def test_the_threshold_is_that_of_two_intervals():
     assert two_interval(2.0, weber("force").threshold(2.0), 0.07, 0.2) == pytest.approx(0.75)
     assert correct_of_d_prime(0.9538725524) == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize("force_N", [0.0, 0.5, 4.0])
+def test_the_filter_of_a_sense_has_the_noise_of_the_threshold_at_its_force(force_N):
+    """r = s^2 (2 - G) / G for a scatter s of the threshold over d' = 0.954, and q = G^2 r / (1 - G)."""
+    law, gain = Weber(kappa=0.07, offset=0.2), 1.0 - np.exp(-1e-3 / 0.1)
+    at = Sense(law, integration_s=0.1, tick_s=1e-3, rng=np.random.default_rng(0)).at(force_N)
+    scatter = 0.07 * (force_N + 0.2) / 0.9538725524
+    assert at.noise == pytest.approx(scatter**2 * (2.0 - gain) / gain)
+    assert at.wander == pytest.approx(gain**2 * at.noise / (1.0 - gain))
+    assert at.steady_variance == pytest.approx(gain * at.noise)

@@ -166,6 +166,21 @@ def test_an_organ_that_clings_to_the_needle_above_its_surface_keeps_its_track():
     assert model.insertion.deflection_m == pytest.approx(drawn + 2.5e-3, abs=1e-12)
 
 
+def test_measures_are_the_insertion_in_millimetres_and_newtons():
+    """Length, deflection, and the elastic, cutting and friction parts; the viscous drag is part of the friction."""
+    model = needle(LIVER)
+    response, motion = go(model, [-1.0, 30.0])
+    insertion, names = model.insertion, model.measure_names
+    measures = dict(zip(names, response.measures, strict=True))
+    elastic, cutting, friction = insertion.shares_N()
+    drag = insertion.drag_N_s_m * motion.speed_m_s
+    wanted = [1e3 * insertion.inserted_m, 1e3 * insertion.deflection_m, elastic, cutting, friction + drag]
+    assert list(measures.values()) == pytest.approx(wanted) and min(wanted) > 0.0
+    pull = insertion.pull_N + drag
+    assert response.wrench[:3] == pytest.approx(pull * motion.rotation[:, 2])
+    assert sum(wanted[2:]) == pytest.approx(pull)
+
+
 def test_a_needle_that_goes_in_elsewhere_punctures_again():
     model = needle(LIVER)
     go(model, [-1.0, 30.0, -20.0])

@@ -173,3 +173,10 @@ def test_errors_count_alike_in_every_direction(direction, wrong_N):
             guarded.predict(6)
             primary.append(guarded.is_primary)
         assert all(primary[:20]) and primary[-1] == stays
+
+
+@pytest.mark.parametrize(("reach_N", "size"), [(2.0, 3.0), (10.0, 12.0), (0.5, 0.6), (10.0, 9.0)])
+def test_both_differ_by_no_more_than_the_reach(reach_N, size):
+    guarded = Guarded(Fake(size / np.sqrt(3.0)), Fake(0.0), reach_N=reach_N)
+    guarded.observe(np.zeros(3), np.zeros(3), np.zeros(3))
+    assert guarded.predict(1.0) == pytest.approx(np.full(3, min(size, reach_N) / np.sqrt(3.0)))
