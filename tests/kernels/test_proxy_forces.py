@@ -23,9 +23,9 @@ def solve_once(
     free: wp.array(dtype=wp.vec3d),
     last: wp.array(dtype=wp.vec3d),  # rubbing force and its arm of the tick before
     wrench_out: wp.array(dtype=wp.vec3d),  # rubbing force and its arm
-    members_out: wp.array(dtype=wp.int32),
+    members_out: wp.array(dtype=wp.int32),  # size of the active set, and solves of it
 ):
-    members, _solves, rub, arm = resolve(
+    members, solves, rub, arm = resolve(
         contacts,
         count,
         compliance,
@@ -40,10 +40,11 @@ def solve_once(
     wrench_out[0] = rub
     wrench_out[1] = arm
     members_out[0] = members
+    members_out[1] = solves
 
 
-def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None, last=NOTHING):
-    """Normal forces, friction force and its arm."""
+def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None, last=NOTHING, solves=None):
+    """Normal forces, friction force and its arm; the number of solves is added to `solves`."""
     count = len(gaps)
     clearance = Contacts()
     clearance.slots = 1
@@ -57,10 +58,12 @@ def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None, l
     clearance.member = wp.zeros(MEMBERS, dtype=wp.int32, device="cpu")
     clearance.lower = wp.zeros((MEMBERS, MEMBERS), dtype=wp.float64, device="cpu")
     clearance.side = wp.zeros((MEMBERS, 3), dtype=wp.float64, device="cpu")
-    out, members = wp.zeros(2, dtype=wp.vec3d, device="cpu"), wp.zeros(1, dtype=wp.int32, device="cpu")
+    out, members = wp.zeros(2, dtype=wp.vec3d, device="cpu"), wp.zeros(2, dtype=wp.int32, device="cpu")
     start, before = (wp.array(each, dtype=wp.vec3d, device="cpu") for each in (free, last))
     inputs = [clearance, count, compliance, friction, start, before]
     wp.launch(solve_once, dim=1, inputs=inputs, outputs=[out, members], device="cpu")
+    if solves is not None:
+        solves.append(int(members.numpy()[1]))
     return clearance.press.numpy(), *out.numpy()
 
 
@@ -226,3 +229,12 @@ def test_a_groove_holds_up_to_the_coefficient_that_it_needs():
             assert np.linalg.norm(again[1]) == pytest.approx(min(share, 1.0) * needed * again[0].sum(), rel=1e-6)
         seen += 1
     assert seen > 5
+
+
+def test_solves_of_the_active_set_are_counted_over_all_rounds():
+    """From wrong forces each plane that joins or leaves is a solve; friction solves again in every round."""
+    given = slanted_planes(np.random.default_rng(7))
+    counts = []
+    for friction in (0.0, 0.4):
+        solved(*given, compliance=GROOVE, friction=friction, solves=counts)
+    assert 1 <= counts[0] < counts[1]

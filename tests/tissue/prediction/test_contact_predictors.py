@@ -138,7 +138,9 @@ def test_a_free_tool_comes_to_the_surface_by_its_gap(known):
     ratio = RIGID
     if known:
         ratio = 0.25
-        predictor.meet(Contact(SPRING, np.zeros(3), np.array([0.0, 0.0, 1.0]), ratio * SPRING * np.diag([2.0, 3.0, 1.0])))
+        predictor.meet(
+            Contact(SPRING, np.zeros(3), np.array([0.0, 0.0, 1.0]), ratio * SPRING * np.diag([2.0, 3.0, 1.0]))
+        )
     normal = np.array([0.0, 0.0, 1.0])
     predictor.meet(Contact(SPRING, np.zeros(3), np.zeros(3), None, 2.5e-4, normal))
     predictor.observe(np.zeros(3), np.zeros(3), np.zeros(3))
