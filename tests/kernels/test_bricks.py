@@ -116,3 +116,18 @@ def test_trilinear_sampling_equals_scipy():
     padded = np.pad(volume.fraction / 255.0, 4)
     expected = map_coordinates(padded, points.T - 0.5 + 4, order=1)
     assert store.sample(points * volume.spacing_m) == pytest.approx(expected, abs=2e-6)  # single precision coordinates
+
+
+def test_a_voxel_outside_the_grid_on_any_side_has_no_row():
+    """Two bricks each way, all stored: rows of the inside, -1 one voxel beyond every face."""
+    brick_of = np.arange(8, dtype=np.int32).reshape(2, 2, 2)
+    voxels = np.array(list(np.ndindex(18, 18, 18))) - 1
+    places = wp.zeros((len(voxels), 2), dtype=int, device="cpu")
+    inputs = [wp.array(brick_of, dtype=int, device="cpu"), wp.array(voxels, dtype=wp.vec3i, device="cpu")]
+    wp.launch(locate, dim=len(voxels), inputs=inputs, outputs=[places], device="cpu")
+    inside = ((voxels >= 0) & (voxels < 16)).all(axis=1)
+    rows = np.full(len(voxels), -1)
+    rows[inside] = brick_of[tuple(voxels[inside].T // 8)]
+    assert (places.numpy()[:, 0] == rows).all()
+    columns = places.numpy()[inside, 1].reshape(-1)
+    assert all(sorted(columns[rows[inside] == brick]) == list(range(512)) for brick in range(8))

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from kernels.elements import CHUNK, LANES, Elements, advance_of, may_cut, place_of, travel_of
+from kernels.elements import CHUNK, LANES, Elements, advance_of, may_cut, meets_bone, place_of, travel_of
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, pear_bur
@@ -78,3 +78,50 @@ def test_a_chunk_that_is_passed_over_holds_no_element_that_cuts(profile, turning
         assert (may.numpy()[cuts] == 1).all()
         passed += (may.numpy() == 0).sum()
     assert passed > 0
+
+
+@wp.kernel
+def ask_box(
+    brick_of: wp.array3d(dtype=wp.int32),
+    alive: wp.array(dtype=wp.uint64),
+    middle: wp.array(dtype=wp.vec3),
+    radius: float,
+    meets_out: wp.array(dtype=int),
+):
+    i = wp.tid()
+    meets_out[i] = wp.where(meets_bone(brick_of, alive, middle[i], radius), 1, 0)
+
+
+@pytest.mark.parametrize("radius", [0.4, 5.0, 13.0])
+def test_a_box_meets_the_bricks_that_it_overlaps(radius):
+    """Boxes around points in and around a grid of 5 x 4 x 6 bricks, some missing and some empty, against all bricks."""
+    random = np.random.default_rng(0)
+    shape = np.array([5, 4, 6])
+    brick_of = np.where(random.random(shape) < 0.4, np.arange(shape.prod()).reshape(shape), -1).astype(np.int32)
+    alive = np.where(random.random(shape.prod()) < 0.5, 1 << 17, 0).astype(np.uint64)
+    middles = random.uniform(-20.0, 8.0 * shape + 20.0, (3000, 3)).astype(np.float32)
+    out = wp.zeros(len(middles), dtype=int, device="cpu")
+    inputs = [wp.array(brick_of, dtype=wp.int32, device="cpu"), wp.array(alive, dtype=wp.uint64, device="cpu")]
+    inputs += [wp.array(middles, dtype=wp.vec3, device="cpu"), radius]
+    wp.launch(ask_box, dim=len(middles), inputs=inputs, outputs=[out], device="cpu")
+    low = 8.0 * np.argwhere((brick_of >= 0) & (alive[np.maximum(brick_of, 0)] > 0))
+    overlaps = (middles[:, None] + radius >= low) & (middles[:, None] - radius < low + 8.0)
+    wanted = overlaps.all(axis=2).any(axis=1)
+    assert (out.numpy() == wanted).all() and 40 < wanted.sum() < 2900
+
+
+def test_an_element_s_advance_and_place_are_those_of_numpy():
+    """One tool, turning about its tip, tilted: the first hundred elements."""
+    model = BoneModel(layer_of_bone(), Cutter(ball_burr(diameter_m=3e-3), 4, 500.0), (cutting_coefficients("bone"),))
+    motion, shell, count = ToolMotion(speed_m_s=1e-3), model.shell, 100
+    motion.tip_m[:] = (2e-4, -3e-4, 1e-4)
+    motion.rotation[:] = Rotation.from_euler("xyz", [0.5, -0.3, 0.8]).as_matrix()
+    motion.heading[:] = [[0.6, 0.0, -0.8], [200.0, -100.0, 50.0]]
+    model.respond(motion)
+    arrays = [wp.zeros(count, dtype=float), wp.zeros((count, 3), dtype=float), wp.zeros(count, dtype=int)]
+    inputs = [model.elements, model.motion_rows, SPACING_M, model.store.brick_of, model.store.alive]
+    wp.launch(ask, dim=count, inputs=inputs, outputs=arrays, device="cpu")
+    normal, arm = shell.normals[:count] @ motion.rotation.T, shell.points_m[:count] @ motion.rotation.T
+    expected = ((motion.heading[0] + np.cross(motion.heading[1], arm)) * normal).sum(axis=1)
+    assert arrays[0].numpy() == pytest.approx(expected, abs=2 * SINGLE)
+    assert arrays[1].numpy() == pytest.approx((motion.tip_m + arm) / SPACING_M + 24, abs=SINGLE * 48)

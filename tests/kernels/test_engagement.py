@@ -15,11 +15,11 @@ RADIUS_M, FLUTES, SPIN, FEED_M_S = 1.5e-3, 5, 700.0, 2e-3
 NOTHING = CuttingCoefficients(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1000.0, 1.0)
 
 
-def engaged(profile):
+def engaged(profile, *, speed_m_s=FEED_M_S, pressed=0.0):
     """A tool held all in bone of 1000 kg/m3, moving down its axis."""
     volume = density_volume(np.full((48,) * 3, 1000.0), spacing_mm=0.1, origin_mm=(-2.4, -2.4, -2.4))
     bone = EngagedBone(BoneModel(volume, Cutter(profile, FLUTES, SPIN), (NOTHING,), shell_spacing_m=3e-5))
-    motion = ToolMotion(speed_m_s=FEED_M_S)
+    motion = ToolMotion(speed_m_s=speed_m_s, pressed=pressed)
     motion.tip_m[:], motion.heading[0] = (0.0, 0.0, -1.5e-3), (0.0, 0.0, -1.0)
     response = bone.respond(motion)
     return bone.unit_loads[0][0], response
@@ -50,3 +50,16 @@ def test_chip_and_edge_of_a_cylinder_that_plunges_are_in_one_ratio():
     chip = FEED_M_S * 2.0 * np.pi / (FLUTES * SPIN)
     assert np.abs(loads[3:]).max() > 0.0
     assert loads[:3] == pytest.approx(chip * loads[3:], abs=1e-6 * chip * np.abs(loads[3:]).max())
+
+
+def test_a_tool_at_rest_feels_the_pressed_share_of_the_edge_force_and_no_chip():
+    """The edge force of the lower half of a ball is N R along its axis; 0.3 of it holds a tool that is pressed so."""
+    for pressed in (0.0, 0.3, 1.0):
+        loads, response = engaged(ball_burr(diameter_m=2.0 * RADIUS_M), speed_m_s=0.0, pressed=pressed)
+        edge = pressed * FLUTES * RADIUS_M
+        assert not loads[:3].any() and response.removal_rate_m3_s == 0.0
+        assert loads[4, 2] == pytest.approx(edge, rel=4e-3)
+        assert loads[5, 2] == pytest.approx(-0.5 * np.pi * edge, rel=4e-3)
+        assert loads[3, 5] == pytest.approx(-edge * RADIUS_M, rel=4e-3)
+    moving, _ = engaged(ball_burr(diameter_m=2.0 * RADIUS_M), pressed=0.3)
+    assert moving[4, 2] == pytest.approx(FLUTES * RADIUS_M, rel=4e-3)

@@ -84,3 +84,19 @@ def test_a_point_that_cannot_move_sideways_is_still_pushed():
     almost = compliance + np.diag([1e-7, 0.0, 0.0])
     given = (np.zeros((1, 3)), np.array([-1.0]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.3, 0.0]]), 0.2)
     np.testing.assert_allclose(forces(compliance, *given), forces(almost, *given), atol=1e-6)
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.5])
+def test_a_contact_along_any_axis_is_that_along_z_turned(friction):
+    """The same contact with its normal along x, y or z, either sign: the force turns with everything else."""
+    compliance, old, gap, _, slip = random_contacts(9, count=50)
+    gap = -np.abs(gap)
+    upright = forces(compliance, old, gap, np.tile([0.0, 0.0, 1.0], (50, 1)), slip, friction)
+    tangential = np.linalg.norm(upright[:, :2], axis=1)
+    assert (tangential > 0.9 * friction * upright[:, 2]).sum() > 10
+    for axis in np.vstack([np.eye(3), -np.eye(3)]):
+        turn = Rotation.align_vectors(axis[None], [[0.0, 0.0, 1.0]])[0].as_matrix().round(15)
+        turned = np.einsum("ij,njk,lk->nil", turn, compliance, turn)
+        normal = np.tile(turn @ [0.0, 0.0, 1.0], (50, 1))
+        found = forces(turned, old @ turn.T, gap, normal, slip @ turn.T, friction)
+        np.testing.assert_allclose(found, upright @ turn.T, atol=1e-8 * np.abs(upright).max())

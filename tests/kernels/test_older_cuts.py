@@ -3,11 +3,12 @@
 from itertools import pairwise
 
 import numpy as np
+import pytest
 import warp as wp
 
 from kernels.bricks import corner8f
-from kernels.older_cuts import SLOTS, taken_before
-from kernels.revolution import Revolution
+from kernels.older_cuts import SLOTS, bend_below, taken_before
+from kernels.revolution import EDGE_BEND, Revolution
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import half_space
 from meshes.voxels.voxelise import voxelise
@@ -125,3 +126,29 @@ def test_points_of_a_slot_are_taken_and_points_outside_are_not():
     found, wanted = taken.numpy().astype(bool), gap < 0.0
     assert sure.sum() > 300 and 0.1 < wanted[sure].mean() < 0.9
     assert (found == wanted)[sure].all()
+
+
+@wp.kernel
+def evaluate_bend(bend: float, heading: wp.vec3, part: wp.array(dtype=wp.vec3), below_out: wp.array(dtype=float)):
+    i = wp.tid()
+    below_out[i] = bend_below(bend, heading, part[i])
+
+
+@pytest.mark.parametrize("bend", [0.02, 0.2, float(EDGE_BEND)])
+def test_a_parabola_lies_below_its_interpolation_by_its_bend(bend):
+    """A parabola of curvature 3 bend along the heading, between eight voxel centres; an edge has no curvature."""
+    random = np.random.default_rng(4)
+    heading = np.array([0.48, -0.6, 0.64])
+    parts = random.random((50, 3))
+
+    def height(points):
+        return 0.5 * 3.0 * bend * (points @ heading) ** 2
+
+    corners = np.array(list(np.ndindex(2, 2, 2)), dtype=float)
+    weights = np.prod(np.where(corners[None] > 0.0, parts[:, None], 1.0 - parts[:, None]), axis=2)
+    wanted = weights @ height(corners) - height(parts)
+    out = wp.zeros(len(parts), dtype=float, device="cpu")
+    inputs = [bend, wp.vec3(*heading), wp.array(parts, dtype=wp.vec3, device="cpu")]
+    wp.launch(evaluate_bend, dim=len(parts), inputs=inputs, outputs=[out], device="cpu")
+    assert wanted.min() >= 0.0
+    assert out.numpy() == pytest.approx(np.zeros(50) if bend == float(EDGE_BEND) else wanted, abs=1e-6)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from kernels.contact_state import pose_of
 from kernels.probe_distance import axis_distance
-from tissue.models.organ.probe import CylinderProbe, SphereProbe
+from tissue.models.organ.probe import CylinderProbe, ShellProbe, SphereProbe
 
 
 @wp.kernel
@@ -53,3 +53,12 @@ def test_distances_agree_with_numpy_and_their_gradients_with_differences(probe):
     smooth = np.abs(np.linalg.norm(slopes, axis=1) - 1.0) < 1e-3
     assert smooth.mean() > 0.99
     np.testing.assert_allclose(direction[smooth], slopes[smooth], atol=2e-3)
+
+
+def test_the_ball_around_a_shell_lies_halfway_between_its_ends():
+    """Rings of 3 mm radius at heights of 1 mm and 9 mm: a ball of 5 mm around (0, 0, 5) mm."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    ring = 3e-3 * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(16)])
+    points = np.vstack([ring, ring]) + np.repeat([[0.0, 0.0, 1e-3], [0.0, 0.0, 9e-3]], 16, axis=0)
+    shell = ShellProbe(points, np.vstack([ring, ring]) / 3e-3, np.full(32, 1e-6))
+    assert shell.size_m == pytest.approx((5e-3, 5e-3))

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from kernels.proxy_contacts import Contacts, Shell, collect
+from kernels.proxy_contacts import Contacts, Shell, collect, keep_plane
 from kernels.voxmap import SURFACE, Field
 from meshes.voxels.volume import VoxelVolume
 from tissue.haptics.proxy.proxy import Proxy
@@ -36,6 +36,11 @@ def collect_once(
     found_out[0] = wp.float64(count)
     found_out[1] = gap
     found_out[2] = clear
+
+
+@wp.kernel
+def keep_once(contacts_out: Contacts, point: int):
+    keep_plane(contacts_out, point, 3 * point)
 
 
 class Looker:
@@ -146,3 +151,37 @@ def test_a_point_keeps_the_plane_that_it_met_while_it_goes_up_a_wall():
     found, _, clear = looker.look((far, far, far), step_m=step)
     assert found == 0 and clear > step
     assert not looker.read("press").any() and not looker.read("plane_normal").any()
+
+
+@pytest.mark.parametrize(("press", "place"), [((5.0, 1.0, 3.0), 1), ((5.0, 3.0, 1.0), 2), ((5.0, 0.0, 0.0), 1)])
+def test_a_plane_that_is_kept_takes_the_place_of_the_weaker_of_the_older_two(press, place):
+    """The second of two points: its present plane and force move, the other kept plane and the first point stay."""
+    looker = Looker(np.zeros((2, 3)), ContactField(HalfSpace(np.zeros(3), np.array([0.0, 0.0, 1.0]))))
+    contacts = looker.contacts
+    normals, offsets = np.random.default_rng(0).normal(size=(2, 3, 3)), np.arange(6.0).reshape(2, 3)
+    contacts.plane_normal = wp.array(normals, dtype=wp.vec3d, device="cpu")
+    contacts.plane_offset = wp.array(offsets, dtype=wp.float64, device="cpu")
+    contacts.press = wp.array([7.0, 8.0, 9.0, *press], dtype=wp.float64, device="cpu")
+    wp.launch(keep_once, dim=1, inputs=[], outputs=[contacts, 1], device="cpu")
+    wanted = np.array(press)
+    wanted[0], wanted[place] = 0.0, press[0]
+    assert looker.read("press").tolist() == [7.0, 8.0, 9.0, *wanted]
+    normals[1, place], offsets[1, place] = normals[1, 0], offsets[1, 0]
+    np.testing.assert_array_equal(looker.read("plane_normal"), normals)
+    np.testing.assert_array_equal(looker.read("plane_offset"), offsets)
+
+
+def test_a_point_that_goes_along_a_face_keeps_no_second_plane():
+    """The face is one plane wherever the point stands, so the plane met before is not another one."""
+    spacing, count = 2e-4, 32
+    fraction = np.where(np.indices((count,) * 3)[2] < 10, 255, 0).astype(np.uint8)
+    volume = VoxelVolume(
+        np.zeros(3), spacing, fraction, np.zeros_like(fraction), np.full(fraction.shape, 1800, np.uint16), ("bone",)
+    )
+    looker = Looker(np.zeros((1, 3)), ContactField(store=BrickStore.from_volume(volume, device="cpu")))
+    for x in (20.0, 20.4, 21.3):
+        found, _, _ = looker.look((x * spacing, 20.3 * spacing, 10.3 * spacing), step_m=0.5 * spacing)
+        assert found == 1
+        assert not looker.read("plane_normal")[0, 1:].any()
+        assert looker.read("press")[1:].tolist() == [0.0, 0.0]
+        looker.contacts.press.assign([1e-4, 0.0, 0.0])

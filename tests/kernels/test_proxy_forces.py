@@ -9,6 +9,7 @@ from kernels.proxy_contacts import Contacts
 from kernels.proxy_forces import MEMBERS
 from kernels.proxy_friction import resolve
 
+NOTHING = np.zeros((2, 3))
 EXACT = 1e-9
 """Of lengths of a few mm: the set's matrix is stiffened by 1e-13 and its condition reaches 1e4."""
 
@@ -20,10 +21,11 @@ def solve_once(
     compliance: wp.float64,
     friction: wp.float64,
     free: wp.array(dtype=wp.vec3d),
+    last: wp.array(dtype=wp.vec3d),  # rubbing force and its arm of the tick before
     wrench_out: wp.array(dtype=wp.vec3d),  # rubbing force and its arm
-    members_out: wp.array(dtype=wp.int32),
+    members_out: wp.array(dtype=wp.int32),  # size of the active set, and solves of it
 ):
-    members, _solves, rub, arm = resolve(
+    members, solves, rub, arm = resolve(
         contacts,
         count,
         compliance,
@@ -31,17 +33,18 @@ def solve_once(
         wp.float64(1.0e-13),
         free[0],
         free[1],
-        wp.vec3d(),
-        wp.vec3d(),
+        last[0],
+        last[1],
         wp.float64(1.0e-13),
     )
     wrench_out[0] = rub
     wrench_out[1] = arm
     members_out[0] = members
+    members_out[1] = solves
 
 
-def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None):
-    """Normal forces, friction force and its arm."""
+def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None, last=NOTHING, solves=None):
+    """Normal forces, friction force and its arm; the number of solves is added to `solves`."""
     count = len(gaps)
     clearance = Contacts()
     clearance.slots = 1
@@ -55,11 +58,12 @@ def solved(arms, normals, gaps, free, *, compliance, friction=0.0, press=None):
     clearance.member = wp.zeros(MEMBERS, dtype=wp.int32, device="cpu")
     clearance.lower = wp.zeros((MEMBERS, MEMBERS), dtype=wp.float64, device="cpu")
     clearance.side = wp.zeros((MEMBERS, 3), dtype=wp.float64, device="cpu")
-    out, members = wp.zeros(2, dtype=wp.vec3d, device="cpu"), wp.zeros(1, dtype=wp.int32, device="cpu")
-    start = wp.array(free, dtype=wp.vec3d, device="cpu")
-    wp.launch(
-        solve_once, dim=1, inputs=[clearance, count, compliance, friction, start], outputs=[out, members], device="cpu"
-    )
+    out, members = wp.zeros(2, dtype=wp.vec3d, device="cpu"), wp.zeros(2, dtype=wp.int32, device="cpu")
+    start, before = (wp.array(each, dtype=wp.vec3d, device="cpu") for each in (free, last))
+    inputs = [clearance, count, compliance, friction, start, before]
+    wp.launch(solve_once, dim=1, inputs=inputs, outputs=[out, members], device="cpu")
+    if solves is not None:
+        solves.append(int(members.numpy()[1]))
     return clearance.press.numpy(), *out.numpy()
 
 
@@ -147,3 +151,90 @@ def test_friction_holds_or_works_against_the_slip(friction):
             assert against == pytest.approx(1.0, abs=1e-4)
             slipped += 1
     assert slipped > 5 or stuck > 5
+
+
+def slanted_planes(random):
+    """A few planes of a groove, and a free motion into it."""
+    count = int(random.integers(2, 5))
+    arms = random.normal(size=(count, 3)) * 1e-3
+    normals = random.normal(loc=(0.0, 0.0, 2.5), scale=(0.7, 0.7, 0.3), size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    free = np.array([random.normal(size=3) * 1e-3 - [0.0, 0.0, 3e-3], random.normal(size=3) * 0.05])
+    return arms, normals, np.zeros(count), free
+
+
+def after_ticks(given, *, friction, press=None, last=NOTHING, ticks=20):
+    """Normal forces, friction force and its arm after some ticks at one place."""
+    for _ in range(ticks):
+        press, *last = solved(*given, compliance=GROOVE, friction=friction, press=press, last=np.array(last))
+    return press, *last
+
+
+GROOVE = 5e-3**-2
+
+
+def slip_of(given, press, rub, arm):
+    """Motion of the point where friction acts, across the planes' resultant, and that resultant."""
+    arms, normals, _, free = given
+    shift, turn = moved(arms, normals, press, free, compliance=GROOVE, rub=rub, arm=arm)
+    along, slip = press @ normals, shift + np.cross(turn, arm)
+    return slip - (slip @ along) * along / (along @ along), along
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.4])
+def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
+    """A groove of random planes: friction changes what each presses, and is bounded by what they press with it.
+
+    All laws at once: no plane is entered, none pulls, one of both is zero; friction acts at the centre of pressure
+    across the resultant, at most the coefficient times the sum of the normal forces, and holds that point or opposes
+    its slip.
+    """
+    random = np.random.default_rng(7)
+    stuck = slipped = 0
+    for _ in range(16):
+        given = arms, normals, _, free = slanted_planes(random)
+        press, rub, arm = after_ticks(given, friction=friction)
+        shift, turn = moved(arms, normals, press, free, compliance=GROOVE, rub=rub, arm=arm)
+        gaps = normals @ shift + np.cross(arms, normals) @ turn
+        slip, along = slip_of(given, press, rub, arm)
+        total, size, slid = press.sum(), np.linalg.norm(rub), np.linalg.norm(slip)
+        assert press.min() >= 0.0 and total > 0.0
+        assert gaps.min() >= -1e-12 and np.abs(gaps[press > 0.0]).max() < 1e-12
+        assert arm == pytest.approx(press @ arms / total, abs=2e-6)
+        assert abs(rub @ along) <= 1e-4 * size * np.linalg.norm(along)
+        assert size <= friction * total * (1.0 + 1e-6)
+        if size < friction * total * (1.0 - 1e-6):
+            assert slid < 1e-9
+            stuck += 1
+        else:
+            assert -rub @ slip == pytest.approx(size * slid, rel=1e-4)
+            slipped += 1
+    assert slipped > 5 and (stuck > 3 or friction < 0.2)
+
+
+def test_a_groove_holds_up_to_the_coefficient_that_it_needs():
+    """What friction pulls, over what all planes press, is the coefficient needed: 1 % more holds, 1 % less slips."""
+    random, seen = np.random.default_rng(11), 0
+    for _ in range(16):
+        given = slanted_planes(random)
+        press, rub, arm = after_ticks(given, friction=1.0)
+        needed = np.linalg.norm(rub) / press.sum()
+        slip, _ = slip_of(given, press, rub, arm)
+        if needed > 0.9 or np.linalg.norm(slip) > 1e-9:
+            continue
+        for share, slips in ((1.01, False), (0.99, True)):
+            again = after_ticks(given, friction=share * needed, press=press, last=np.array([rub, arm]))
+            slid = np.linalg.norm(slip_of(given, *again)[0])
+            assert (slid > 1e-8) == slips
+            assert np.linalg.norm(again[1]) == pytest.approx(min(share, 1.0) * needed * again[0].sum(), rel=1e-6)
+        seen += 1
+    assert seen > 5
+
+
+def test_solves_of_the_active_set_are_counted_over_all_rounds():
+    """From wrong forces each plane that joins or leaves is a solve; friction solves again in every round."""
+    given = slanted_planes(np.random.default_rng(7))
+    counts = []
+    for friction in (0.0, 0.4):
+        solved(*given, compliance=GROOVE, friction=friction, solves=counts)
+    assert 1 <= counts[0] < counts[1]

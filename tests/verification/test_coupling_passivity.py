@@ -188,3 +188,21 @@ def test_what_a_wall_reaches_is_reported_with_what_the_device_allows():
         knock(device_parameters("six-dof"), hand_parameters("expert"), "penalty", penalty.reached_N_m)[0].ripple_N(0.2)
         < 0.05
     )
+
+
+@pytest.mark.parametrize(("pending_N", "mass_kg"), [(0.0, 0.1), (0.4, 0.1), (2.0, 0.05)])
+def test_the_work_of_a_pending_force_is_that_of_constant_acceleration(pending_N, mass_kg):
+    """A force F1 that was sent out a tick ago speeds a free device of v up to v1 = v + F1 T / m in that tick.
+
+    Its work is F1 T (v + v1) / 2, and the new force F works F T v1 in the tick after it. Nothing is stored, so all of
+    it is taken off the new force at v1: what is left is -F1 (v + v1) / (2 v1).
+    """
+    control = PassivityControl(1e6, delay_ticks=1.0, mass_kg=mass_kg)
+    speed, force = 0.05, 1.5
+    control.step(along_z(pending_N), along_z(0.0), along_z(-1e-3), TICK)
+    played = control.step(along_z(force), along_z(speed * TICK), along_z(0.0), TICK)
+    end = speed + pending_N * TICK / mass_kg
+    wanted = -pending_N * 0.5 * (speed + end) / end
+    assert played == pytest.approx(along_z(wanted), abs=1e-12)
+    assert control.damping_N_s_m == pytest.approx((force - wanted) / end)
+    assert control.dissipated_J == pytest.approx((force - wanted) * end * TICK)

@@ -72,6 +72,19 @@ def test_moments_of_intensity_are_those_of_quadrature():
         assert law.spread(force) == pytest.approx(np.sqrt(square - mean**2), rel=1e-9)
 
 
+@pytest.mark.parametrize("uncertain", [0.0, 0.25, 0.5])
+def test_the_scatter_of_a_rating_is_the_mean_of_sigma_squared(uncertain):
+    """Gauss-Hermite over ln sigma, 60 nodes, and over the noise of one rating, against the law's scatter and spread."""
+    observer = person(sigma=0.3, spread={"sigma": uncertain})
+    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
+    weights = weights / weights.sum()
+    mean_square = weights @ (0.3 * np.exp(uncertain * nodes)) ** 2
+    law = intensity_of(observer)
+    assert law.scatter == pytest.approx(mean_square, rel=1e-10)
+    # Everything else is known: a rating is the intensity of 2 N times 1 + sigma times a standard normal number.
+    assert law.spread(2.0) == pytest.approx(law.expected(2.0) * np.sqrt(mean_square), rel=1e-10)
+
+
 def test_intensity_is_inverted_for_every_observer():
     forces = np.geomspace(0.05, 50.0, 400)
     for observer in people(100, 2):
@@ -225,3 +238,14 @@ def test_a_sense_scatters_by_its_threshold_and_is_the_steady_filter():
 def test_the_threshold_is_that_of_two_intervals():
     assert two_interval(2.0, weber("force").threshold(2.0), 0.07, 0.2) == pytest.approx(0.75)
     assert correct_of_d_prime(0.9538725524) == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize("force_N", [0.0, 0.5, 4.0])
+def test_the_filter_of_a_sense_has_the_noise_of_the_threshold_at_its_force(force_N):
+    """r = s^2 (2 - G) / G for a scatter s of the threshold over d' = 0.954, and q = G^2 r / (1 - G)."""
+    law, gain = Weber(kappa=0.07, offset=0.2), 1.0 - np.exp(-1e-3 / 0.1)
+    at = Sense(law, integration_s=0.1, tick_s=1e-3, rng=np.random.default_rng(0)).at(force_N)
+    scatter = 0.07 * (force_N + 0.2) / 0.9538725524
+    assert at.noise == pytest.approx(scatter**2 * (2.0 - gain) / gain)
+    assert at.wander == pytest.approx(gain**2 * at.noise / (1.0 - gain))
+    assert at.steady_variance == pytest.approx(gain * at.noise)

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from tissue.perception.sensitivity import map_estimate_errors, recursive_estimate_errors
+from tissue.perception.sensitivity import (
+    FATIGUE,
+    LOG_SPREAD,
+    MEDIAN_N,
+    NOISE_N,
+    TAIL,
+    map_estimate_errors,
+    recursive_estimate_errors,
+)
 
 
 @pytest.fixture(scope="module")
@@ -43,3 +51,34 @@ def test_wrong_variances_add_a_third_to_the_error_and_change_the_coverage(recurs
     for assumed in ("wander / 10", "wander x 10", "noise / 10"):
         assert 1.2 < recursion[assumed].error < 1.4
     assert recursion["wander x 10"].held > 0.97 and recursion["noise / 10"].held < 0.7
+
+
+def brute_force_N(seen_N, noise_N, median_N, log_spread):
+    """Force of greatest posterior density, by looking at 3,000 forces a look."""
+    logs = np.linspace(np.log(1e-3), np.log(300.0), 3000)
+    prior = -0.5 * ((logs - np.log(median_N)) / log_spread) ** 2 - logs
+    found = [logs[np.argmax(prior - 0.5 * ((seen - np.exp(logs)) / noise_N) ** 2)] for seen in seen_N]
+    return np.exp(found)
+
+
+def test_errors_of_one_look_are_those_of_other_draws_and_a_search_by_brute_force(look):
+    """6,000 looks: 1 % of standard error, and of heavy tails and of a strong bias a few."""
+    rng = np.random.default_rng(9)
+    truth = MEDIAN_N * np.exp(LOG_SPREAD * rng.standard_normal(6000))
+    gaussian = truth + NOISE_N * rng.standard_normal(6000)
+    heavy = truth + NOISE_N * rng.standard_t(TAIL, 6000) * np.sqrt((TAIL - 2.0) / TAIL)
+    right = NOISE_N, MEDIAN_N, LOG_SPREAD
+    cases = {
+        "right prior and noise": (gaussian, *right),
+        "prior's median / 3": (gaussian, NOISE_N, MEDIAN_N / 3.0, LOG_SPREAD),
+        "prior's median x 3": (gaussian, NOISE_N, MEDIAN_N * 3.0, LOG_SPREAD),
+        "prior's spread / 2": (gaussian, NOISE_N, MEDIAN_N, LOG_SPREAD / 2.0),
+        "prior's spread x 2": (gaussian, NOISE_N, MEDIAN_N, LOG_SPREAD * 2.0),
+        "noise / 2": (gaussian, NOISE_N / 2.0, MEDIAN_N, LOG_SPREAD),
+        "noise x 2": (gaussian, NOISE_N * 2.0, MEDIAN_N, LOG_SPREAD),
+        "truth has heavy tails": (heavy, *right),
+        "truth fatigues by 10 %": (gaussian + FATIGUE * truth, *right),
+    }
+    for assumed, given in cases.items():
+        error = np.sqrt(np.mean((brute_force_N(*given) - truth) ** 2)) / NOISE_N
+        assert look[assumed] == pytest.approx(error, rel=0.08 if "truth" in assumed else 0.04)

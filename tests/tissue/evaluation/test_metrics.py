@@ -10,6 +10,8 @@ from meshes.base.errors import InputError
 from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
     completion_time_s,
+    excess_error,
+    excess_travel_mm,
     force_error,
     force_mae_N,
     force_rms_N,
@@ -172,3 +174,14 @@ def test_what_a_metric_refuses_is_reported(case):
     with pytest.raises(InputError, match=message) as refused:
         call()
     assert ": " in str(refused.value)
+
+
+def test_errors_that_do_not_depend_on_each_other_add_in_squares():
+    assert excess_error(0.5, 0.3) == pytest.approx(0.4)
+    assert excess_error(0.3, 0.3) == 0.0 == excess_error(0.2, 0.3)
+
+
+def test_travel_after_a_puncture_is_counted_from_it():
+    depth = np.array([9.0, 1.0, 2.0, 4.5, 3.0])
+    assert excess_travel_mm(depth, puncture_tick=2) == pytest.approx(2.5)
+    assert excess_travel_mm(depth, puncture_tick=3) == 0.0

@@ -12,6 +12,7 @@ from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
 from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration, constant_acceleration_map
 from tissue.haptics.loop.forecast import Forecast
+from tissue.haptics.loop.sampled_loop import SampledVelocity
 from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.models.wall import WallModel
 
@@ -76,3 +77,14 @@ def test_the_whole_loop_with_a_damper_is_stable_up_to_the_stiffness_that_is_judg
     loop = free.with_stiffness(share * judge(free, [PERSON.grip[:3]]).critical_N_m)
     _, measures, _ = meet(quiet_press(loop, margin=1.0 - share), WallModel(1e6, radius_m=5e-3), 2.0)
     check_ripple(measures, settles=settles)
+
+
+def test_the_loop_s_filter_is_that_of_one_device_for_several_places_at_once():
+    """Two places a tick, by the filter of one: the same velocity in m/s."""
+    loop = replace(device_parameters("touch").loop(400.0), velocity_memory=0.9)
+    sampled, single = SampledVelocity(loop, np.zeros((3, 2))), ConstantAcceleration(0.9, step_s=TICK)
+    places = np.random.default_rng(1).normal(size=(30, 2)) * 1e-3
+    for place in places:
+        found, wanted = sampled.step(place - places[0]), single.step(place)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
+    assert SampledVelocity(replace(loop, velocity_memory=None), np.zeros((0, 2))).step(places[0]) is None

@@ -30,3 +30,11 @@ def test_the_range_of_a_layer_leaves_out_others_and_voxels_without_density():
     words = np.array([[(700 << 16) | 1, (300 << 16) | 1, 1, (50 << 16) | 0]], dtype=np.uint32)
     assert densities_of(words, 1).tolist() == [300, 700]
     assert densities_of(words, 2).tolist() == [0, 0]
+
+
+def test_densities_beyond_the_table_count_as_its_ends():
+    """The strength table ends at 4095 kg/m3 and starts at 1: a single number beyond is one node there."""
+    assert DensityNodes.of(5000, 9000).densities_kg_m3.tolist() == [4095.0]
+    assert DensityNodes.of(0, 0).densities_kg_m3.tolist() == [1.0]
+    nodes = DensityNodes.of(900, 9000).densities_kg_m3
+    assert nodes.min() > 900.0 and 4000.0 < nodes.max() < 4095.0

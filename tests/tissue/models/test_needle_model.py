@@ -151,6 +151,36 @@ def test_events_are_emitted_once_in_their_order():
     assert model.notices[2:] == ["the needle has left the organ"] * 2
 
 
+def test_an_organ_that_clings_to_the_needle_above_its_surface_keeps_its_track():
+    """Drawn up to 2 mm above the surface the organ still holds 6 mm of the shaft; moved aside and down, it still does.
+
+    Straight down again the shaft sticks, so the held length stays and the organ is drawn up that much less.
+    """
+    model = needle(LIVER)
+    go(model, [-1.0, 30.0])
+    go(model, [30.0, -2.0])
+    held, drawn = model.insertion.inserted_m, model.insertion.deflection_m
+    assert held > 5e-3 and model.insertion.travel_m == pytest.approx(-2e-3)
+    go(model, [-2.0, 0.5], sideways_mm=2.0)
+    assert model.insertion.inserted_m == held and model.insertion.punctured == 1
+    assert model.insertion.deflection_m == pytest.approx(drawn + 2.5e-3, abs=1e-12)
+
+
+def test_measures_are_the_insertion_in_millimetres_and_newtons():
+    """Length, deflection, and the elastic, cutting and friction parts; the viscous drag is part of the friction."""
+    model = needle(LIVER)
+    response, motion = go(model, [-1.0, 30.0])
+    insertion, names = model.insertion, model.measure_names
+    measures = dict(zip(names, response.measures, strict=True))
+    elastic, cutting, friction = insertion.shares_N()
+    drag = insertion.drag_N_s_m * motion.speed_m_s
+    wanted = [1e3 * insertion.inserted_m, 1e3 * insertion.deflection_m, elastic, cutting, friction + drag]
+    assert list(measures.values()) == pytest.approx(wanted) and min(wanted) > 0.0
+    pull = insertion.pull_N + drag
+    assert response.wrench[:3] == pytest.approx(pull * motion.rotation[:, 2])
+    assert sum(wanted[2:]) == pytest.approx(pull)
+
+
 def test_a_needle_that_goes_in_elsewhere_punctures_again():
     model = needle(LIVER)
     go(model, [-1.0, 30.0, -20.0])

@@ -176,6 +176,23 @@ def test_a_scaled_compliance_and_shifted_nodes_are_those_of_another_organ(slab):
     np.testing.assert_allclose(result.displacement_m(), other.result.displacement_m(), atol=1e-9)
 
 
+@pytest.mark.parametrize("shifts", [1, 3])
+def test_nodes_that_are_shifted_to_a_tool_that_waits_touch_it(slab, shifts):
+    """A tool 2 cm above, four triangles away, feels a surface that rises by 2.1 cm as an organ that lies so high."""
+    tip, offset = np.array([0.001, 0.0, 0.02]), np.array([0.0, 0.0, 0.021])
+    options = {"spacing_m": 1.0, "friction": 0.0} | TIGHT
+    other = SurfaceContact(slab.rest + offset, slab.faces, slab.compliance, SphereProbe(0.01), **options)
+    expected = other.solve(tip, np.eye(3)).force_N.copy()
+    assert expected[2] > 1e-3
+    contact = slab.contact(SphereProbe(0.01), **options)
+    contact.place(tip, np.eye(3))
+    for share in np.arange(1, shifts + 1) / shifts:
+        contact.shift(np.broadcast_to(share * offset, slab.rest.shape))
+        result = contact.solve(tip, np.eye(3))
+    np.testing.assert_allclose(result.force_N, expected, atol=1e-6 * np.linalg.norm(expected))
+    assert result.contacts == other.result.contacts
+
+
 def test_another_compliance_with_the_surface_where_it_was_leaves_the_force(slab):
     """Half as stiff, and shifted by what that would move: nothing changes until the tool goes on."""
     options, path = {"spacing_m": 1.0, "friction": 0.4} | TIGHT, away([0.002, 0.0, -0.003])

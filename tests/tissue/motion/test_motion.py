@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from tissue import InputError
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import FollowPath, frame_along, matrix_of, quaternion_of
-from tissue.motion.quaternion import turn_between
-from tissue.motion.replay import ReplayPoses, read_replay
+from tissue.motion.quaternion import conjugate, exponential, logarithm, of_matrix, product, turn_between, unit
+from tissue.motion.replay import GivenPoses, ReplayPoses, read_replay
 from tissue.motion.thrust import PushAlongAxis
 
 STEP_S = 1e-3
@@ -170,3 +170,45 @@ def test_matrices_and_quaternions_agree_with_scipy():
         other = Rotation.random(random_state=2)
         expected = (other * rotation.inv()).as_rotvec()
         assert np.array(turn_between(quaternion, other.as_quat())) == pytest.approx(expected, abs=1e-12)
+
+
+def test_given_poses_begin_at_rest_at_the_first_one():
+    """A tool has no direction before its first step, whatever the first step is."""
+    turns = Rotation.from_rotvec([[0.0, 0.0, 0.1], [0.0, 0.3, 0.0], [0.2, 0.0, 0.0]])
+    tips = np.array([[1e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3], [2e-3, 4e-3, 3e-3]])
+    given, motion = GivenPoses(np.array([0.0, 1e-3, 2e-3]), tips, turns), ToolMotion()
+    motion.heading[:] = 1.0
+    given.begin(motion)
+    assert motion.tip_m == pytest.approx(tips[0]) and motion.rotation == pytest.approx(turns[0].as_matrix())
+    assert not motion.heading.any()
+    given.advance(2e-3, 1e-3, Response.empty(1), motion)
+    turned = (turns[2] * turns[1].inv()).as_rotvec()
+    assert motion.speed_m_s == pytest.approx(2.0)
+    assert motion.heading == pytest.approx(np.array([[0.0, 1.0, 0.0], turned / 2e-3]))
+    given.advance(3e-3, 1e-3, Response.empty(1), motion)
+    assert motion.speed_m_s == 0.0 and motion.tip_m == pytest.approx(tips[2])
+
+
+EXTREME = [*np.zeros((1, 3)), *(np.pi * np.eye(3)), *(1e-9 * np.eye(3)), *(0.7 * np.eye(3)), *(-3.1 * np.eye(3))]
+"""Rotation vectors [rad]: none, half turns about the axes, tiny, plain and nearly full ones."""
+
+
+def same_rotation(found, wanted):
+    """Whether two unit quaternions are one rotation: equal, or each other's negatives."""
+    sign = 1.0 if np.dot(found, wanted) > 0.0 else -1.0
+    return sign * np.array(found) == pytest.approx(np.array(wanted), abs=1e-12)
+
+
+@pytest.mark.parametrize("vector", [*EXTREME, *np.random.default_rng(3).normal(size=(30, 3))])
+def test_rotations_inside_the_tick_agree_with_scipy(vector):
+    rotation, other = Rotation.from_rotvec(vector), Rotation.from_rotvec([0.4, -1.2, 0.9])
+    wanted, second = tuple(rotation.as_quat()), tuple(other.as_quat())
+    assert same_rotation(of_matrix(rotation.as_matrix().tolist()), wanted)
+    assert same_rotation(exponential(tuple(vector)), wanted)
+    assert same_rotation(product(second, wanted), (other * rotation).as_quat())
+    assert same_rotation(conjugate(wanted), rotation.inv().as_quat())
+    negative = tuple(-component for component in second)
+    assert logarithm(negative) == pytest.approx(other.as_rotvec(), abs=1e-12)
+    assert np.linalg.norm(logarithm(wanted)) == pytest.approx(rotation.magnitude(), abs=1e-12)
+    assert unit(tuple(5.0 * component for component in wanted)) == pytest.approx(wanted, abs=1e-15)
+    assert unit((0.0, 0.0, 1e-7, 0.0)) is None and unit((np.inf, 0.0, 0.0, 0.0)) is None

@@ -239,3 +239,17 @@ def test_folds_are_unseen():
     states = np.vstack([each.states for each in episodes])
     found = choose({"wide": Edmd(Gaussians.from_states(states, 100, rng), ridge=1e-12)}, episodes, horizon=1, folds=3)
     assert found.scores["wide"].mean() > 1.0
+
+
+def test_one_step_with_inputs_is_the_matrices_written_out():
+    """phi' = A phi + B u + c, for one state and for rows of them, and without inputs as with inputs of zero."""
+    rng = np.random.default_rng(11)
+    operator = Edmd(Polynomials(2), offset=True).fit(swings(rng))
+    lifted, inputs = rng.normal(size=(4, len(operator.offset))), rng.normal(size=(4, 1))
+    wanted = [
+        operator.A @ row + operator.B @ acting + operator.offset for row, acting in zip(lifted, inputs, strict=True)
+    ]
+    assert np.abs(operator.B).max() > 1e-3
+    assert operator.advance(lifted, inputs) == pytest.approx(np.array(wanted), rel=1e-12, abs=1e-12)
+    assert operator.advance(lifted[2], inputs[2]) == pytest.approx(wanted[2], rel=1e-12, abs=1e-12)
+    assert operator.advance(lifted) == pytest.approx(operator.advance(lifted, 0.0 * inputs), rel=1e-12, abs=1e-12)

@@ -115,3 +115,42 @@ def test_bad_options_are_refused():
         Online(operator, forgetting=1.1)
     with pytest.raises(InputError, match="gain_limit must be positive and finite, got 0"):
         Online(operator, gain_limit=0.0)
+
+
+@pytest.mark.parametrize("forgetting", [0.9, 0.98])
+def test_what_was_known_weighs_as_one_memory_of_samples(forgetting):
+    """Weighted least squares, written out: the fit's own samples count as 1 / (1 - forgetting) of their kind.
+
+    A new sample k steps ago has the weight forgetting^k. In units of the fit's means and deviations, where a gain is not
+    bounded.
+    """
+    rng = np.random.default_rng(5)
+    known = swings(rng, 6)
+    fresh = record(duffing, rng.uniform(-1.0, 1.0, (1, 2)), rng.normal(size=(1, 13)), 0.02)[0]
+    start = Edmd(Identity(), cap=None, offset=True).fit(known)
+    online = Online(start, forgetting=forgetting, gain_limit=1e5)
+    learn(online, [fresh], Identity().lift)
+
+    def rows(episode):
+        given = (np.hstack([episode.states[:-1], episode.inputs[:-1]]) - middle) / scale
+        after = (episode.states[1:] - start.middle) / start.scale
+        return np.column_stack([given, np.ones(len(given))]), after
+
+    middle = np.concatenate([start.middle, start.input_middle])
+    scale = np.concatenate([start.scale, start.input_scale])
+    parts = [rows(each) for each in known]
+    given, after = (np.vstack(each) for each in zip(*parts, strict=True))
+    before = np.linalg.lstsq(given, after, rcond=None)[0]
+    memory = round(1.0 / (1.0 - forgetting)) / len(given)
+    new, seen = rows(fresh)
+    weights = forgetting ** np.arange(len(new) - 1, -1, -1.0)
+    old = forgetting ** len(new) * memory * given.T @ given
+    wanted = np.linalg.solve(old + (new * weights[:, None]).T @ new, old @ before + (new * weights[:, None]).T @ seen)
+    found = online.operator(cap=None)
+    linear = wanted[:-1].T * start.scale[:, None] / scale
+    of_states, of_inputs = np.split(linear, [len(start.scale)], axis=1)
+    np.testing.assert_allclose(found.A, of_states, atol=1e-7)
+    np.testing.assert_allclose(found.B, of_inputs, atol=1e-7)
+    constant = wanted[-1] * start.scale + start.middle - linear @ middle
+    assert found.offset == pytest.approx(constant, abs=1e-7)
+    assert np.abs(found.A - start.A).max() > 1e-4

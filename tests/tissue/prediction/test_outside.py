@@ -1,0 +1,58 @@
+"""A predictor from outside the package, as the loop sees it."""
+
+import numpy as np
+import pytest
+
+from tissue import InputError
+from tissue.prediction.outside import GuardedMaker, Outside
+
+
+class Line:
+    """Predicts 2 N along x and 0.1 N a tick along y."""
+
+    def __init__(self):
+        self.observed = []
+
+    def observe(self, position_m, velocity_m_s, force_N):
+        self.observed.append((position_m, velocity_m_s, force_N))
+
+    def predict(self, ticks):
+        return np.array([2.0, 0.1 * ticks, 0.0])
+
+
+def test_the_residual_is_what_it_missed_a_tick_ahead():
+    """It expects (2, 0.1, 0): of (2, 0.1, 0) it misses nothing, of (-1, 4.1, 0) it misses (3, -4, 0)."""
+    outside, zero = Outside(Line(), "line"), np.zeros(3)
+    outside.observe(zero, zero, np.array([9.0, 9.0, 9.0]))
+    assert outside.residual_N == 0.0  # nothing was expected yet
+    outside.observe(zero, zero, np.array([2.0, 0.1, 0.0]))
+    assert outside.residual_N == pytest.approx(0.0, abs=1e-15)
+    outside.observe(zero, zero, np.array([-1.0, 4.1, 0.0]))
+    assert outside.residual_N == pytest.approx(5.0)
+    outside.observe(zero, zero, None)  # no force came: the last error stays
+    assert outside.residual_N == pytest.approx(5.0)
+
+
+def test_it_is_given_copies_and_gives_copies():
+    inner = Line()
+    outside, position, force = Outside(inner, "line"), np.ones(3), np.ones(3)
+    outside.observe(position, position, force)
+    position[:] = force[:] = 7.0
+    assert all((each == 1.0).all() for each in inner.observed[0])
+    outside.predict(2.0)[:] = 7.0
+    assert outside.predict(2.0) == pytest.approx(np.array([2.0, 0.2, 0.0]))
+
+
+def test_one_with_both_methods_is_guarded_by_holding_the_force():
+    guarded, zero = GuardedMaker("line", Line)(None, 3.0), np.zeros(3)
+    guarded.observe(zero, zero, np.ones(3))
+    assert guarded.predict(2.0) == pytest.approx(np.array([2.0, 0.2, 0.0]))
+    guarded.inner.inner.trusted = False
+    for _ in range(40):
+        guarded.observe(zero, zero, np.ones(3))
+    assert guarded.predict(2.0) == pytest.approx(np.ones(3))
+
+
+def test_what_is_missing_is_named():
+    with pytest.raises(InputError, match="predict"):
+        GuardedMaker("half", lambda: type("Half", (), {"observe": print})())(None, 3.0)
