@@ -52,14 +52,11 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, N
         reach = min(half + nearest, 2.0 * reach)
     else:
         raise InputError("keep_clear must name a structure with a surface, got an empty one: leave it out")
-    is_cut = np.array([(low <= start) & (start > shape.lower_m), (high >= end) & (end < shape.upper_m)])
     volume = float(np.prod(high - low))
     finest, spacing = ((volume / count) ** (1.0 / 3.0) for count in (MOST_POINTS, FIRST_POINTS))
     for _ in range(ROUNDS):
-        vertices, faces = _contour(shape, low, high, spacing)
-        # A face at which the lattice ends is no surface of the shape.
-        inner = np.where(is_cut, np.array([low + 2.0 * spacing, high - 2.0 * spacing]), [[-np.inf], [np.inf]])
-        slack = _slack(shape, vertices, faces, *inner)
+        vertices, faces, on_surface = _contour(shape, low, high, spacing)
+        slack = _slack(shape, vertices, faces[on_surface[faces].all(axis=1)])
         if slack <= WANTED_M or spacing <= finest:
             break
         spacing = max(spacing * max(0.9 * (WANTED_M / slack) ** 0.5, 0.2), finest)
@@ -87,8 +84,10 @@ def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
     return float(np.linalg.norm(vertices - middle, axis=1).min(initial=np.inf))
 
 
-def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Array, NDArray[np.int64]]:
-    """Closed triangles at distance 0, their vertices moved onto the surface."""
+def _contour(
+    shape: Shape, low: Array, high: Array, spacing: float
+) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
+    """Closed triangles at distance 0, and which vertices lie on the surface, not where the lattice cuts it off."""
     from skimage.measure import marching_cubes
 
     first = low - 1.5 * spacing
@@ -97,23 +96,22 @@ def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Arr
     values = np.asarray(shape.distance(grid), dtype=np.float64).reshape(count)
     padded = np.pad(values, 1, constant_values=spacing)
     if not padded.min() < 0.0:
-        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
+        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=bool)
     vertices, faces, _, _ = marching_cubes(padded, 0.0)
     at = first + (vertices.astype(np.float64) - 1.0) * spacing
     within = ((vertices > 1.0) & (vertices < np.array(padded.shape) - 2.0)).all(axis=1)
     offset, slope = _to_surface(shape, at[within])
     at[within] -= np.clip(offset, -spacing, spacing)[:, None] * slope
-    return at, faces.astype(np.int64)
+    return at, faces.astype(np.int64), within
 
 
-def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64], low: Array, high: Array) -> float:
-    """Largest depth of centres and edges of triangles below the surface [m], between two corners of a box.
+def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64]) -> float:
+    """Largest depth of centres and edges of triangles below the surface [m].
 
     Triangles outside the surface, in concave edges, make a distance too small, which is the safe side.
     """
     corners = vertices[faces]
     points = np.concatenate([corners.mean(axis=1), *(0.5 * (corners[:, k] + corners[:, k - 1]) for k in range(3))])
-    points = points[((points > low) & (points < high)).all(axis=1)]
     return float(-_to_surface(shape, points)[0].min(initial=0.0))
 
 
