@@ -13,7 +13,7 @@ WANTED_M = 4e-6
 """Distance of the triangles from the surface that is aimed at [m]."""
 FIRST_POINTS, MOST_POINTS = 1e5, 1e6
 """Points of the first and of the finest lattice on which the distance is evaluated."""
-ROUNDS = 3
+ROUNDS, DOUBLINGS = 3, 12
 STEP_M = 1e-6
 """Of the differences that make the gradient of a distance."""
 
@@ -40,19 +40,23 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, N
         If the shape has no surface there.
     """
     middle, half = 0.5 * (low_m + high_m), 0.5 * float(np.linalg.norm(high_m - low_m))
-    # No point of the box is farther from the shape than this, so what lies farther off is never the nearest.
     reach = half + max(float(shape.distance(middle[None])[0]), 0.0)
-    low, high = middle - half - reach, middle + half + reach
-    start, end = np.maximum(middle - half - reach, shape.lower_m), np.minimum(middle + half + reach, shape.upper_m)
-    low, high = _around_surface(shape, start, end)
-    is_cut = np.array([(low <= start) & (start > shape.lower_m), (high >= end) & (end < shape.upper_m)])
+    for _ in range(DOUBLINGS):
+        start, end = np.maximum(middle - half - reach, shape.lower_m), np.minimum(middle + half + reach, shape.upper_m)
+        low, high = _around_surface(shape, start, end)
+        nearest = _nearest(shape, low, high, middle)
+        # What lies farther from the middle than its nearest point and the box together is nearest to no point of it.
+        # The distance of a shape may be a lower bound, so that the first reach may be too short.
+        if half + nearest <= reach:
+            break
+        reach = min(half + nearest, 2.0 * reach)
+    else:
+        raise InputError("keep_clear must name a structure with a surface, got an empty one: leave it out")
     volume = float(np.prod(high - low))
     finest, spacing = ((volume / count) ** (1.0 / 3.0) for count in (MOST_POINTS, FIRST_POINTS))
     for _ in range(ROUNDS):
-        vertices, faces = _contour(shape, low, high, spacing)
-        # A face at which the lattice ends is no surface of the shape.
-        inner = np.where(is_cut, np.array([low + 2.0 * spacing, high - 2.0 * spacing]), [[-np.inf], [np.inf]])
-        slack = _slack(shape, vertices, faces, *inner)
+        vertices, faces, on_surface = _contour(shape, low, high, spacing)
+        slack = _slack(shape, vertices, faces[on_surface[faces].all(axis=1)])
         if slack <= WANTED_M or spacing <= finest:
             break
         spacing = max(spacing * max(0.9 * (WANTED_M / slack) ** 0.5, 0.2), finest)
@@ -60,18 +64,30 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, N
 
 
 def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array]:
-    """Corners of a box around the cells of a coarse lattice that may hold some of the surface."""
+    """Corners of a box around the cells of a coarse lattice that may hold some of the surface; all of it for none."""
+    if not (low < high).all():
+        return low, high
     count = np.maximum(np.ceil((high - low) / np.cbrt(np.prod(high - low) / FIRST_POINTS)).astype(int), 1)
     sides = (high - low) / count
     centres = (np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3) + 0.5) * sides + low
     near = centres[np.abs(shape.distance(centres)) <= 0.5 * np.linalg.norm(sides)]
-    if not (len(near) and (low < high).all()):
-        raise InputError("keep_clear must name a structure with a surface, got an empty one: leave it out")
+    if not len(near):
+        return low, high
     return np.maximum(near.min(axis=0) - 0.51 * sides, low), np.minimum(near.max(axis=0) + 0.51 * sides, high)
 
 
-def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Array, NDArray[np.int64]]:
-    """Closed triangles at distance 0, their vertices moved onto the surface."""
+def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
+    """Distance of a point from the nearest vertex of a coarse surface in a box [m], infinite without any."""
+    if not (low < high).all():
+        return np.inf
+    vertices = _contour(shape, low, high, float(np.cbrt(np.prod(high - low) / FIRST_POINTS)))[0]
+    return float(np.linalg.norm(vertices - middle, axis=1).min(initial=np.inf))
+
+
+def _contour(
+    shape: Shape, low: Array, high: Array, spacing: float
+) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
+    """Closed triangles at distance 0, and which vertices lie on the surface, not where the lattice cuts it off."""
     from skimage.measure import marching_cubes
 
     first = low - 1.5 * spacing
@@ -80,23 +96,22 @@ def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Arr
     values = np.asarray(shape.distance(grid), dtype=np.float64).reshape(count)
     padded = np.pad(values, 1, constant_values=spacing)
     if not padded.min() < 0.0:
-        raise InputError("keep_clear must name a structure with a surface, got an empty one: leave it out")
+        return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=bool)
     vertices, faces, _, _ = marching_cubes(padded, 0.0)
     at = first + (vertices.astype(np.float64) - 1.0) * spacing
     within = ((vertices > 1.0) & (vertices < np.array(padded.shape) - 2.0)).all(axis=1)
     offset, slope = _to_surface(shape, at[within])
     at[within] -= np.clip(offset, -spacing, spacing)[:, None] * slope
-    return at, faces.astype(np.int64)
+    return at, faces.astype(np.int64), within
 
 
-def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64], low: Array, high: Array) -> float:
-    """Largest depth of centres and edges of triangles below the surface [m], between two corners of a box.
+def _slack(shape: Shape, vertices: Array, faces: NDArray[np.int64]) -> float:
+    """Largest depth of centres and edges of triangles below the surface [m].
 
     Triangles outside the surface, in concave edges, make a distance too small, which is the safe side.
     """
     corners = vertices[faces]
     points = np.concatenate([corners.mean(axis=1), *(0.5 * (corners[:, k] + corners[:, k - 1]) for k in range(3))])
-    points = points[((points > low) & (points < high)).all(axis=1)]
     return float(-_to_surface(shape, points)[0].min(initial=0.0))
 
 

@@ -34,7 +34,7 @@ def close_seams(points: Array, faces: Faces, *, first_part: int, within: float) 
     ours = [loop for loop in loops if loop[0] < first_part]
     theirs = [loop for loop in loops if loop[0] >= first_part]
     added: list[Faces] = []
-    single = []
+    single: list[Faces] = []
     for loop in ours:
         apart = [_apart(points[loop], points[other]) for other in theirs]
         if apart and min(apart) < within:
@@ -42,7 +42,7 @@ def close_seams(points: Array, faces: Faces, *, first_part: int, within: float) 
             added.append(_ribbon(points, loop, other))
         else:
             single.append(loop)
-    middles = []
+    middles: list[Array] = []
     for loop in single + theirs:
         centre = len(points) + len(middles)
         middles.append(points[loop].mean(axis=0))

@@ -230,7 +230,7 @@ class _Search:
 def _outline(profile: Profile) -> Any:
     """The tool's outline as the kernel reads it."""
     table = outline_table(profile)
-    outline = Outline()
+    outline: Any = Outline()
     outline.kind = wp.array(table.kind, dtype=wp.int32, device=DEVICE)
     outline.shape = wp.array(table.shape, dtype=wp.float64, device=DEVICE)
     outline.first = wp.array(table.first, dtype=wp.int32, device=DEVICE)
@@ -240,7 +240,7 @@ def _outline(profile: Profile) -> Any:
 
 def _tree(made: BoxTree) -> Any:
     """A tree as the kernel reads it."""
-    tree = Tree()
+    tree: Any = Tree()
     tree.centre = wp.array(made.centres_m, dtype=wp.vec3d, device=DEVICE)
     tree.half = wp.array(made.halves_m, dtype=wp.vec3d, device=DEVICE)
     tree.corners = wp.array(made.corners_m, dtype=wp.vec3d, device=DEVICE)

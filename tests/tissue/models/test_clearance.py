@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from meshes.shapes.sdf import capsule
+from meshes.shapes.sdf import capsule, ellipsoid
 from meshes.shapes.triangles import shape_triangles
 from tissue.cutters import profile
 from tissue.models.keep_clear import KeepClear, Structure
@@ -121,3 +121,12 @@ def test_a_shape_of_the_anatomy_is_meshed_finely_enough():
         tool = ToolMotion(tip_m=centre - [0.0, 0.0, 1.5e-3])
         clear.measure(tool)
         require_safe(float(clear.measures[0]), float(shape.distance(centre[None])[0]) - 1.5e-3)
+
+
+def test_a_shape_whose_distance_is_a_lower_bound_is_meshed_where_it_is_nearest():
+    """The formula of a flat ellipsoid gives a tenth of the distance in its plane; its true nearest point is known there."""
+    shape = ellipsoid((0.5e-3, 5e-3, 5e-3))
+    vertices, faces, slack = shape_triangles(shape, np.array([-1e-3, 19e-3, -1e-3]), np.array([1e-3, 21e-3, 1e-3]))
+    clear = KeepClear(BALL, {"disc": Structure(vertices, faces, slack)})
+    clear.measure(ToolMotion(tip_m=np.array([0.0, 20e-3, -1.5e-3])))
+    assert 1e3 * (20e-3 - 5e-3 - 1.5e-3) - 0.05 <= float(clear.measures[0]) <= 13.5 + ABOVE_MM
