@@ -56,14 +56,14 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
         What was measured.
     """
     signs = np.ones(len(log.channels))
-    best = _search(forward, log, signs, -np.inf)
+    best, _ = _search(forward, log, signs, -np.inf)
     for _ in log.channels:
         found = signs
         for places in _groups(log.channels):
             tried = signs.copy()
             tried[places] *= -1.0
-            density = _search(forward, log, tried, best + GAIN)
-            if density > best + GAIN and _is_explained(forward, log, tried, places):
+            density, explained = _search(forward, log, tried, best + GAIN)
+            if density > best + GAIN and (explained[places] > EXPLAINED).any():
                 best, found = density, tried
         if found is signs:
             break
@@ -78,21 +78,15 @@ def _groups(channels: Sequence[str]) -> list[list[int]]:
     return [[at] for at in range(len(channels))] + [each for at, each in enumerate(several) if each not in several[:at]]
 
 
-def _reversed(log: MeasuredLoads, signs: Array) -> MeasuredLoads:
-    return replace(log, values=log.values * signs)
+def _search(forward: Forward, log: MeasuredLoads, signs: Array, wanted: float) -> tuple[float, Array]:
+    """Largest log density of a log with these signs, and the share of each channel's variance that is explained.
 
-
-def _search(forward: Forward, log: MeasuredLoads, signs: Array, wanted: float) -> float:
-    """Largest log density of a log with these signs; of the first guess where it is far from what is wanted."""
-    target = Target(forward, _reversed(log, signs))
-    density, guess = starts(target)[0]
-    return climbed(target, guess)[0] if density > wanted - SCREENED else density
-
-
-def _is_explained(forward: Forward, log: MeasuredLoads, signs: Array, places: Sequence[int]) -> bool:
-    """Whether the loads of the constants explain one of the reversed channels."""
-    target = Target(forward, _reversed(log, signs))
-    _, u = climbed(target, starts(target)[0][1])
+    Where the first guess is far from the density that is wanted, they are those of the guess.
+    """
+    target = Target(forward, replace(log, values=log.values * signs))
+    density, u = starts(target)[0]
+    if density > wanted - SCREENED:
+        density, u = climbed(target, u)
     left = np.nanvar(target.log.values - target.simulated(u), axis=0)
     whole = np.nanvar(target.log.values, axis=0)
-    return bool((left < (1.0 - EXPLAINED) * whole)[list(places)].any())
+    return density, 1.0 - np.divide(left, whole, out=np.ones_like(whole), where=whole > 0.0)

@@ -59,26 +59,17 @@ def test_modulus_and_friction_come_back(log, tmp_path):
 
 
 @pytest.mark.slow
-def test_forces_in_kilonewtons_and_clocks_that_differ_are_doubtful(log, tmp_path):
+def test_forces_in_kilonewtons_are_doubtful(log, tmp_path):
     import pandas
 
     table = pandas.read_csv(log)
-    late = table.assign(load_time_s=table["time_s"] + 0.15)
     weak = table.assign(**{f"force_{c}_N": 1e-3 * table[f"force_{c}_N"] for c in "xyz"})
-    found = {}
-    for name, each in (("late", late), ("weak", weak)):
-        each.to_csv(tmp_path / f"{name}.csv", index=False)
-        free = ["soft.modulus_kPa"] if name == "weak" else ["organ.friction"]
-        found[name] = tissue.fit(tissue.load_scene("palpation", SCENE), tmp_path / f"{name}.csv", free=free, cores=1)
-    (modulus,) = found["weak"].fitted.constants
+    weak.to_csv(tmp_path / "weak.csv", index=False)
+    scene = tissue.load_scene("palpation", SCENE)
+    fit = tissue.fit(scene, tmp_path / "weak.csv", free=["soft.modulus_kPa"], cores=1)
+    (modulus,) = fit.fitted.constants
     assert modulus.state == "doubtful" and modulus.value < 0.02
-    assert any("times below its range of 2 to 15" in each for each in found["weak"].verdicts)
-    assert found["late"].fitted.offset_sd == pytest.approx(7.9, abs=0.3)
-    assert [each.state for each in found["late"].fitted.constants] == ["doubtful"]
-    assert "158 ms after the poses" in found["late"].verdicts[0]
-    found["late"].save(tmp_path / "keys")
-    assert "organ.friction" in found["late"].fitted.scene_keys
-    tissue.load_scene("palpation", {"materials": str(tmp_path / "keys" / "fitted.toml")})
+    assert any("times below its range of 2 to 15" in each for each in fit.verdicts)
 
 
 def runs_of(fit):
