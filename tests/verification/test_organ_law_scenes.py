@@ -18,7 +18,7 @@ SCENES = {
         "motion.points_mm": [[0, 0, 0.5], [0, 0, -8], [8, 0, -8], [8, 0, 0.5]],
     },
     "palpation": {
-        "anatomy.edge_mm": 9.0, "anatomy.touch_edge_mm": 7.0, "motion.feed_mm_s": 60.0,
+        "anatomy.size_mm": [80, 50, 40], "anatomy.touch_edge_mm": 7.0, "motion.feed_mm_s": 60.0,
         "motion.points_mm": [[-24, 0, 0.5], [-24, 0, -4], [-20, 0, -4], [-20, 0, 0.5]],
     },
 }  # fmt: skip
