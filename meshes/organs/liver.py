@@ -23,6 +23,7 @@ import numpy as np
 
 from meshes.base.errors import InputError, require_length
 from meshes.shapes.sdf import Shape, box, capsule, difference, ellipsoid, half_space, intersection, sphere, union
+from meshes.tets.bisection import bisected
 from meshes.tets.regions import Nodes, nodes_behind_plane, nodes_facing
 from meshes.tets.structured import graded, grid
 from meshes.tets.stuffing import stuffed, with_part
@@ -33,6 +34,9 @@ __all__ = ["LIVER_REGIONS", "Nodule", "liver", "liver_region", "liver_shape", "o
 _TOP_M = (-0.026, 0.0)
 _SIZE = 0.94
 _TRIES = 4
+_NODULE_EDGES, _NODULE_GROWTH = 3.0, 1.0
+"""Edges across a nodule, and their growth with the distance from it. Cut from cells as long as its radius, a nodule of
+18 mm lost 13 % of its volume; the force over it was up to 2 % off, a fifth of what the nodule adds."""
 _NEAR_M, _PROJECTIONS = 1e-5, 4
 _VISCERAL = (0.33, 0.10, -0.94)
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
@@ -185,6 +189,14 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
             f"nodule.centre_m must lie at least its radius and the spacing, {1e3 * (radius + spacing):.3g} mm, below "
             f"the surface, got {1e3 * deep:.3g} mm: move it deeper"
         )
+    centre = np.array(nodule.centre_m)
+    edge = 2.0 * radius / _NODULE_EDGES
+
+    def size_m(points: np.ndarray) -> np.ndarray:
+        outside = np.maximum(np.linalg.norm(points - centre, axis=1) - radius, 0.0)
+        return np.asarray(edge + _NODULE_GROWTH * outside)
+
+    mesh = bisected(mesh, size_m)
     # Chords cut a ball's volume short: the surface is laid a little outside it, as much as makes the volume right.
     # Where nodes change their snapping the volume jumps, so the best of a few tries is kept.
     volume, laid, best, least = 4.0 / 3.0 * math.pi * radius**3, radius, mesh, math.inf
