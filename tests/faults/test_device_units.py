@@ -127,7 +127,7 @@ def test_one_wild_sample_does_not_end_a_run_and_no_workspace_is_three_metres():
 
 
 def test_a_clutch_and_a_mouse_go_further_than_an_arm():
-    """The device goes to and fro in its workspace; its clutch is held on each way back."""
+    """The device goes to and fro in its workspace; its clutch is held while it goes back."""
     adapter = Adapter(lambda time_s: (0.1 * (time_s % 1.0), 0.0, 0.0))
     adapter.poll, polls = None, []
     device = MappedDevice(adapter, Hardware(clutch_button=0), now=lambda: TICK * len(polls))

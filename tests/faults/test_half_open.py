@@ -48,11 +48,11 @@ def free_port():
 
 
 class Peer(threading.Thread):
-    """A device that connects to a run as soon as it listens, says something, and goes silent with its line open."""
+    """A device that connects to a run as soon as it listens, sends some parts, and goes silent with its line open."""
 
-    def __init__(self, port, says):
+    def __init__(self, port, parts):
         super().__init__(daemon=True)
-        self.port, self.says, self.line = port, says, None
+        self.port, self.parts, self.line = port, parts, None
         self.start()
 
     def run(self):
@@ -62,7 +62,7 @@ class Peer(threading.Thread):
                 self.line = socket.create_connection(("127.0.0.1", self.port))
             except OSError:
                 time.sleep(5e-3)
-        for part in self.says:
+        for part in self.parts:
             self.line.sendall(part)
             time.sleep(1e-3)
 
@@ -81,15 +81,15 @@ HANDSHAKES = {
 
 
 @pytest.mark.parametrize(
-    "says",
+    "parts",
     [
         each if each in ("nothing", "a device that vanishes") else pytest.param(each, marks=pytest.mark.slow)
         for each in HANDSHAKES
     ],
 )
-def test_a_run_with_a_silent_connection_finishes(says):
+def test_a_run_with_a_silent_connection_finishes(parts):
     port = free_port()
-    peer = Peer(port, HANDSHAKES[says])
+    peer = Peer(port, HANDSHAKES[parts])
     keys = {"device": "network", "hardware.address": f"ws://127.0.0.1:{port}", "duration_s": 0.25}
     run = simulate(load_scene("wall", keys))
     assert peer.line is not None and len(run.trace.rows) == 250

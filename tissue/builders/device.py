@@ -55,9 +55,9 @@ def require_stated_rate(device: Device | SafeDevice, limits: DeviceParameters, *
     """
     held = device.device if isinstance(device, SafeDevice) else device
     for name in ("limits", "parameters"):
-        own = getattr(held, name, None)
-        if isinstance(own, DeviceParameters) and own.rate_Hz < min(limits.rate_Hz, 1.0 / TICK_S) * (1.0 - 1e-6):
+        stated = getattr(held, name, None)
+        if isinstance(stated, DeviceParameters) and stated.rate_Hz < min(limits.rate_Hz, 1.0 / TICK_S) * (1.0 - 1e-6):
             raise InputError(
                 f"device must give the {limits.rate_Hz:g} samples a second of its constants, got "
-                f"{own.rate_Hz:g} by {type(held).__name__}: {remedy}"
+                f"{stated.rate_Hz:g} by {type(held).__name__}: {remedy}"
             )

@@ -6,7 +6,8 @@ from math import ceil, isfinite
 import numpy as np
 
 from meshes.base.errors import InputError
-from tissue.builders.loop_settings import LoopSettings
+from tissue.builders.loop_settings import LoopSettings, sampled
+from tissue.haptics.device.device import DeviceParameters
 from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, in_hands, judge, nearest_stable_N_m
 from tissue.haptics.loop.filters import VELOCITY_MEMORY
 from tissue.haptics.loop.forecast import Forecast, forecast_of
@@ -17,6 +18,7 @@ from tissue.prediction.guard import Guarded
 
 __all__ = [
     "JudgedLoop",
+    "device_path",
     "judged_loop",
     "judged_loops",
     "lead_ticks",
@@ -150,9 +152,17 @@ def lead_ticks(settings: LoopSettings) -> float:
 
 def motor_path(settings: LoopSettings) -> WallLoop:
     """The path of a force to the motor: low-pass, latency, transport, hold and amplifier."""
-    loop = settings.limits.loop(1.0, filter_s=1e-3 * settings.low_pass_ms)
-    # The force is made in every tick; a slow device holds it longer, half of that time in the mean.
-    return _delayed(settings, replace(loop, tick_s=TICK_S), 0.5 * (loop.tick_s - TICK_S))
+    path = replace(device_path(settings.limits), filter_s=1e-3 * settings.low_pass_ms)
+    return _delayed(settings, path, 0.0)
+
+
+def device_path(limits: DeviceParameters) -> WallLoop:
+    """Return the path of a force through the device to its motor, in ticks: transport, hold and amplifier.
+
+    A slow device holds each force longer than a tick, half of that time in the mean.
+    """
+    loop = sampled(limits).loop(1.0)
+    return replace(loop, tick_s=TICK_S, delay_s=loop.delay_s + 0.5 * (loop.tick_s - TICK_S))
 
 
 def _forecasts(settings: LoopSettings) -> list[Forecast | None]:

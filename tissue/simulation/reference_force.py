@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
-from tissue.builders.loop import judged_loop, lead_ticks, motor_path
+from tissue.builders.loop import device_path, judged_loop, lead_ticks, motor_path
 from tissue.builders.loop_settings import loop_settings
 from tissue.builders.parts import Parts
 from tissue.builders.registry import build
-from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE, VIBRATION
 from tissue.haptics.hand_motion import HandMotion
@@ -154,8 +153,8 @@ def motor_forces(run: SimulatedRun, ideal_N: Array) -> MotorForces:
     InputError
         If the run had no device.
     """
-    after = device_parameters(run.scene.device, run.scene.constants).loop(1.0)
     settings = loop_settings(run.scene)
+    after = device_path(settings.limits)
     nearest = motor_force_N(motor_path(settings), force_later_N(stretch_force_N(run), lead_ticks(settings)))
     played = motor_force_N(after, played_force_N(run.trace))
     steady = run.trace.vectors("device_force", "N")

@@ -8,10 +8,11 @@ from hand_steps import STEP_S, held, meet
 
 import tissue
 from tissue import InputError, Sample, load_scene
-from tissue.builders.loop import judged_loop
+from tissue.builders.loop import judged_loop, motor_path
 from tissue.builders.loop_settings import loop_settings
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.loop.motor_path import motor_lag_ticks
 from tissue.models.tissue_model import FreeSpace
 from tissue.models.wall import WallModel
 
@@ -149,3 +150,13 @@ def test_a_device_that_states_a_slower_rate_than_its_constants_is_refused():
     with pytest.raises(InputError, match="must give the 1000 samples a second of its constants, got 500"):
         tissue.Loop(bone, device=SimulatedDevice(limits))
     assert tissue.Loop(bone, device=SimulatedDevice(limits), limits=limits).run(0.02).ticks == 20
+
+
+@pytest.mark.parametrize(("rate_Hz", "later_ms"), [(250, 1.5), (500, 0.5), (1000, 0.0), (2000, 0.0)])
+def test_a_slow_device_holds_a_force_longer_on_its_way_to_the_motor(at_rate, rate_Hz, later_ms):
+    """In the mean by half of what its hold lasts longer than a tick, at any low-pass."""
+    changes = {name.replace("__", "."): value for name, value in at_rate(rate_Hz, output__low_pass_ms=3.0).items()}
+    usual = motor_lag_ticks(
+        motor_path(loop_settings(load_scene("wall", {"device": "touch", "output.low_pass_ms": 3.0})))
+    )
+    assert motor_lag_ticks(motor_path(loop_settings(load_scene("wall", changes)))) == pytest.approx(usual + later_ms)

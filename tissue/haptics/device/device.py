@@ -113,7 +113,8 @@ class DeviceParameters:
     force_slew_N_ms
         Greatest change of the force that it is commanded [N/ms].
     rate_Hz
-        Samples and force updates a second.
+        Samples and force updates a second. The loop reads a faster device once a tick, and each force is held until the
+        next sample of a slower one.
     transport_delay_s
         From a sample to the force that answers it, besides the hold [s].
     amplifier_Hz
@@ -166,7 +167,7 @@ class DeviceParameters:
     def loop(
         self, stiffness_N_m: float, *, wall_damping_N_s_m: float = 0.0, filter_s: float = 0.0, model_ticks: int = 1
     ) -> WallLoop:
-        """The loop by which a wall on this device is judged, without friction, encoder and hand."""
+        """Return the loop by which a wall on this device is judged, without friction, encoder and hand."""
         return WallLoop(
             mass_kg=self.mass_kg,
             damping_N_s_m=self.damping_N_s_m,

@@ -44,7 +44,7 @@ class WallLoop:
         Of the filter that gives v, see `constant_acceleration_map`; None for the difference of positions between model
         steps, and between ticks for a forecast.
     tick_s
-        Time between two forces at the device [s].
+        Time between two forces at the device [s]: for a device that is slower than the loop, between its samples.
     delay_s
         From the sample to the force, besides the hold [s]; any real number of ticks.
     model_ticks
