@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,7 @@ from tissue.scene.load import changed
 
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
 WALL = ("run", "wall", "--set", "duration_s=0.05", "--no-pictures")
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
 DEEP = 5000
 DIGITS = 400 * "9"
 
@@ -126,11 +128,10 @@ def test_a_sweep_of_millions_is_refused_at_once(refused, tmp_path):
         tissue.sweep("wall", {"seed": iter(int, 1)}, out=tmp_path / "out")
 
 
-def ended(arguments, **options):
-    """Exit code, standard output and standard error of the command in a process of its own."""
-    process = subprocess.run(
-        [*MAIN, *arguments], capture_output=True, check=False, timeout=300, errors="backslashreplace", **options
-    )
+def ended(command, **options):
+    """Exit code, standard output and standard error of a process."""
+    options = {"env": ENVIRONMENT, "capture_output": True, "text": True} | options
+    process = subprocess.run([sys.executable, "-c", *command], check=False, timeout=300, **options)
     return process.returncode, process.stdout, process.stderr
 
 
@@ -138,22 +139,16 @@ def ended(arguments, **options):
 def test_a_working_directory_that_is_gone_is_named(tmp_path):
     gone = tmp_path / "gone"
     gone.mkdir()
-    remove = [
-        sys.executable,
-        "-c",
-        f"import os; os.rmdir({str(gone)!r}); os.execv({sys.executable!r}, {[*MAIN, *WALL]!r})",
-    ]
-    process = subprocess.run(remove, cwd=gone, capture_output=True, text=True, check=False, timeout=300)
-    assert process.returncode == 2 and process.stderr.count("\n") == 1
-    assert "the working directory must exist" in process.stderr
+    remove = f"import os; os.rmdir({str(gone)!r}); os.execv({sys.executable!r}, {[*MAIN, *WALL]!r})"
+    code, _, error = ended([remove], cwd=gone)
+    assert code == 2 and error.count("\n") == 1 and "the working directory must exist" in error
 
 
 @pytest.mark.slow
 def test_a_stream_that_takes_ascii_alone_is_served(tmp_path):
     arguments = ("run", "milling", "--set", "voxels.spacing_mm=0.8", "--duration-s", "0.02", "--no-pictures")
-    code, out, error = ended(
-        [*arguments, "--out", str(tmp_path / "out")], env=os.environ | {"PYTHONIOENCODING": "ascii"}
-    )
+    command = [MAIN[2], *arguments, "--out", str(tmp_path / "out")]
+    code, out, error = ended(command, env=ENVIRONMENT | {"PYTHONIOENCODING": "ascii"})
     assert code == 0 and error == "" and "removed" in out and out.isascii()
 
 
@@ -162,10 +157,9 @@ def test_streams_that_are_closed_are_no_place_for_files(tmp_path):
     """What a library prints to a closed stream would go into the file that was opened first."""
     out = tmp_path / "out"
     close = "import os; [os.close(number) for number in (0, 1, 2)]; from tissue.cli.main import main; main()"
-    command = [sys.executable, "-c", close, *WALL, "--out", str(out)]
-    assert subprocess.run(command, check=False, timeout=300).returncode == 0
+    command = [close, *WALL, "--out", str(out)]
+    assert ended(command, capture_output=False)[0] == 0
     held = json.loads((out / "summary.json").read_text())
     lines = (out / "trace.csv").read_text().splitlines()
     assert held["status"] == "complete" and len(lines) == 51 and lines[0].startswith("time_s,")
-    command[-1] = str(tmp_path / "out")  # which is there now
-    assert subprocess.run(command, check=False, timeout=300).returncode == 2
+    assert ended(command, capture_output=False)[0] == 2  # the folder holds a run now

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import psutil
 import pytest
@@ -12,6 +13,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not sys.platform.startswith("linux"), reason="processes are found by their command lines"),
 ]
+ROOT = Path(__file__).resolve().parents[2]
 MAIN = [sys.executable, "-c", "from tissue.cli.main import main; main()"]
 MESH_BYTES = 5_000
 """Less than the smallest mesh that is drawn has: its 100 points would fill it."""
@@ -22,11 +24,19 @@ def started(place, *arguments):
     (place / "temporary").mkdir()
     return subprocess.Popen(
         [*MAIN, *map(str, arguments)],
-        env=os.environ | {"TMPDIR": str(place / "temporary")},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(place / "temporary")},
         cwd=place,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
+
+
+def command_line(process):
+    """Command line of a process, empty of one that has ended."""
+    try:
+        return " ".join(process.cmdline())
+    except psutil.Error:
+        return ""
 
 
 def children(process, word, count):
@@ -34,8 +44,8 @@ def children(process, word, count):
     until = time.monotonic() + 120.0
     while time.monotonic() < until and process.poll() is None:
         found = psutil.Process(process.pid).children(recursive=True)
-        if sum(word in " ".join(each.cmdline()) for each in found) >= count:
-            return found
+        if sum(word in command_line(each) for each in found) >= count:
+            return [each for each in found if word in command_line(each)]
         time.sleep(0.01)
     raise AssertionError(f"{word} did not start")
 
@@ -43,7 +53,7 @@ def children(process, word, count):
 def gone(processes, within_s):
     """Whether processes have ended."""
     _, alive = psutil.wait_procs(processes, timeout=within_s)
-    alive = [each for each in alive if each.status() != psutil.STATUS_ZOMBIE]
+    alive = [each for each in alive if command_line(each)]  # a zombie has none
     for each in alive:
         each.kill()
     return not alive
