@@ -125,3 +125,22 @@ def test_an_element_s_advance_and_place_are_those_of_numpy():
     expected = ((motion.heading[0] + np.cross(motion.heading[1], arm)) * normal).sum(axis=1)
     assert arrays[0].numpy() == pytest.approx(expected, abs=2 * SINGLE)
     assert arrays[1].numpy() == pytest.approx((motion.tip_m + arm) / SPACING_M + 24, abs=SINGLE * 48)
+
+
+@pytest.mark.parametrize("profile", [ball_burr(diameter_m=3e-3), pear_bur(diameter_m=2e-3, length_m=3e-3)])
+def test_the_ball_and_the_cone_of_a_chunk_hold_all_its_elements(profile):
+    """Each chunk is 128 elements in order; its ball touches one of them, and its cone one of their normals."""
+    model = BoneModel(layer_of_bone(), Cutter(profile, 4, 500.0), (cutting_coefficients("bone"),))
+    shell, elements = model.shell, model.elements
+    balls, cones = elements.chunk_ball.numpy(), elements.chunk_cone.numpy()
+    assert len(balls) == len(cones) == -(-len(shell.areas_m2) // 128)
+    for at, (ball, cone) in enumerate(zip(balls, cones, strict=True)):
+        part = slice(128 * at, 128 * at + 128)
+        away = np.linalg.norm(shell.points_m[part] - ball[:3], axis=1)
+        assert away.max() == pytest.approx(ball[3], rel=1e-5)
+        cosines = shell.normals[part] @ cone[:3]
+        if cone[3] <= 1.0:
+            assert cosines.min() == pytest.approx(np.sqrt(1.0 - cone[3] ** 2), abs=1e-5)
+        else:
+            assert cosines.min() <= 0.0
+    assert (cones[:, 3] <= 1.0).any()

@@ -14,6 +14,7 @@ from kernels.proxy_descent import (
     DescentSettings,
     Reaction,
     accept_trial,
+    aim_at,
     halve_motion,
     take_step,
 )
@@ -163,3 +164,38 @@ def test_a_step_ends_at_rest_or_where_its_solves_have_run_out():
     assert Case(0, compliance=0.0, gap=50.0, solves=9).numbers[3] == OUT_OF_SOLVES
     case = Case(0, compliance=0.0, gap=0.05)
     assert case.numbers[3] == GOES_ON != AT_REST
+
+
+@wp.kernel
+def aim_often(
+    start: wp.transformd,
+    goal: wp.transformd,
+    compliance: wp.float64,
+    spacing: wp.float64,
+    numbers_out: wp.array2d(dtype=wp.float64),
+):
+    descent = Descent()
+    descent.position = wp.transform_get_translation(start)
+    descent.rotation = wp.transform_get_rotation(start)
+    descent.lowest = wp.float64(1.0e300)
+    for k in range(numbers_out.shape[0]):
+        descent = aim_at(
+            descent, wp.transform_get_translation(goal), wp.transform_get_rotation(goal), compliance, spacing
+        )
+        numbers_out[k, 0] = wp.float64(descent.stalls)
+        numbers_out[k, 1] = descent.lowest
+        if k == 3:  # halfway there, the springs' energy has fallen to a quarter
+            descent.position = wp.float64(0.5) * (descent.position + wp.transform_get_translation(goal))
+
+
+@pytest.mark.parametrize(("spacing", "stalls"), [(1e-4, [0, 1, 2, 3, 0, 1]), (0.0, [0] * 6)])
+def test_steps_that_leave_the_springs_energy_are_counted_as_stalls_near_voxels(spacing, stalls):
+    """The energy is |shift|^2 + |turn|^2 / c; it is the lowest so far that counts."""
+    start, goal, compliance = np.array([1.0, -2.0, 0.5]), np.array([0.2, 0.3, 0.4]), 1.5
+    turn = Rotation.from_rotvec([0.3, -0.1, 0.2])
+    out = wp.zeros((6, 2), dtype=wp.float64, device="cpu")
+    poses = wp.transformd(start, [0.0, 0.0, 0.0, 1.0]), wp.transformd(goal, turn.as_quat())
+    wp.launch(aim_often, dim=1, inputs=[*poses, compliance, spacing], outputs=[out], device="cpu")
+    far, turned = np.sum((goal - start) ** 2), turn.magnitude() ** 2 / compliance
+    assert out.numpy()[:, 0].tolist() == stalls
+    assert out.numpy()[:, 1] == pytest.approx([far + turned] * 4 + [0.25 * far + turned] * 2, abs=EXACT)

@@ -253,3 +253,14 @@ def test_one_step_with_inputs_is_the_matrices_written_out():
     assert operator.advance(lifted, inputs) == pytest.approx(np.array(wanted), rel=1e-12, abs=1e-12)
     assert operator.advance(lifted[2], inputs[2]) == pytest.approx(wanted[2], rel=1e-12, abs=1e-12)
     assert operator.advance(lifted) == pytest.approx(operator.advance(lifted, 0.0 * inputs), rel=1e-12, abs=1e-12)
+
+
+def test_a_fit_does_not_grow_unless_it_is_asked_for():
+    """Data that double every 14 steps: eigenvalues up to 1 by default, and 1.05 without a cap."""
+    states = 1.05 ** np.arange(60.0)[:, None] * [[1.0, -0.5]] + np.random.default_rng(0).normal(size=(60, 2)) * 1e-9
+    episodes = [Episode(states * size, None, 0.02) for size in (0.1, 0.2)]
+    largest = [
+        np.abs(Edmd(Identity(), ridge=1e-9, **options).fit(episodes).eigenvalues).max()
+        for options in ({}, {"cap": None})
+    ]
+    assert largest == pytest.approx([1.0, 1.05], rel=1e-3)
