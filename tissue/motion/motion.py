@@ -50,7 +50,7 @@ class Motion(Protocol):
     model_ticks: int = 1
     """Ticks for which one answer of the tissue holds."""
     balances: bool = False
-    """Whether the pose follows from the force at that very pose; `correct` then searches for it before a cut is made."""
+    """Whether the pose follows from the force at that pose; `correct` then searches for it before a cut is made."""
 
     @property
     def feed_limit(self) -> FeedLimit | None:

@@ -34,8 +34,8 @@ class ToothModel:
     least that has been reached so far: what is left of the dentin at its thinnest. Its error is half a voxel. Where
     the voxels hold no pulp it is not measured: the pulp is then farther away than the margin around the bur's reach.
 
-    The tooth's displacement follows the force at every tick by the compliance of its ligament, since enamel does not
-    bend. Stress is solved in the background, on a copy of the voxels and the force taken every ``interval_s``; the
+    The tooth's motion follows the force at every tick by the compliance of its ligament, as of a rigid body: at the
+    centroid of its stiff material, and at the point that the bur touches. Stress is solved in the background, on a copy of the voxels and the force taken every ``interval_s``; the
     result is recorded one interval later, so that it is the same however long the solve took.
 
     Parameters
