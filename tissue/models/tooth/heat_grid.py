@@ -14,7 +14,7 @@ __all__ = ["HeatGrid"]
 GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
 """Voxels that the cells outside the fine part are wide, from there outward; the last goes on."""
 LEAST_FILLED = 0.02
-"""Cells with less material are left out: they hold no heat worth mentioning."""
+"""Cells with less material are left out: their heat does not matter."""
 
 SAME_FACE = 1e-6
 """Places this close to each other are the same face of a voxel [voxel]: far from the origin they are rounded."""
