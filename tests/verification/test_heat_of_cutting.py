@@ -95,6 +95,10 @@ def test_plunge_against_finite_volumes_in_r_and_z():
     assert balance["cutting"] == pytest.approx(cutting, rel=5e-3)
     assert balance["left_in_tooth"] / (left + removed) == pytest.approx(left / (left + removed), abs=0.1)
     np.testing.assert_allclose(found, rises, rtol=0.15)
+    coarse = plunged(time_s, cell_m=2.5e-4)
+    off = [np.abs([rise_K(each, *place) for place in probes] / rises - 1.0).max() for each in (coarse, heat)]
+    assert off[0] > 1.3 * off[1]
+    assert abs(coarse.balance_J["left_in_tooth"] - left) > abs(balance["left_in_tooth"] - left)
 
 
 def test_heat_is_accounted_for_and_removed_cells_are_empty():

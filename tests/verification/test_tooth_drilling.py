@@ -75,7 +75,7 @@ def test_the_tooth_gives_by_micrometres_per_newton(drilled):
     assert compliance.asymmetry < 1e-3
     give = 1e6 * np.diag(compliance.matrix)[:3]
     assert ((give > 0.5) & (give < 20.0)).all() and give[2] == give.min()
-    moved = drilled.trace["tooth_z_um"][drilled.inside("enamel")].mean()
+    moved = drilled.trace["tooth_centroid_z_um"][drilled.inside("enamel")].mean()
     assert moved == pytest.approx(-give[2] * drilled.force[drilled.inside("enamel")].mean(), rel=0.05)
 
 

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 __all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
 
 HEAT_CELL = 0.25
-"""Cells of the temperature where the bur can go, by those of the stress: 0.125 mm by default. Halving them changes the
-rise of the pulp in the molar scene by less than a twentieth (tests/verification/test_heat_removed.py)."""
+"""Edge of the cells of the temperature where the bur can go, relative to those of the stress: 0.125 mm by default. The
+rise of the pulp in the molar scene is 0.614, 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm."""
 SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 """Units of a scene's tool: their SI unit and its share."""
 

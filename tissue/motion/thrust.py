@@ -25,9 +25,9 @@ class SpeedSearch:
     """Search for the speed of a tick that balances the forces at the pose to which this speed leads.
 
     The balanced speed S(v) at the pose of a tried speed v lies within the allowed speeds, so that S(v) - v changes its
-    sign between them. The balanced speed itself is tried next; if two of them have not come close, the interval with the
-    change of sign is halved. Where the force jumps, as at the
-    first contact of a flat reamer, the search ends on the side of the larger force.
+    sign between them. The balanced speed itself is tried next. If two of them have not come close, the interval with
+    the change of sign is halved. Where the force jumps, as at the first contact of a flat reamer, the search ends on
+    the side of the larger force.
 
     Attributes
     ----------

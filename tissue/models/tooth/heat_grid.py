@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.voxels.volume import FULL, VoxelVolume
@@ -13,7 +14,7 @@ __all__ = ["HeatGrid"]
 GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
 """Voxels that the cells outside the fine part are wide, from there outward; the last goes on."""
 LEAST_FILLED = 0.02
-"""Cells with less material are left out: they hold no heat worth mentioning."""
+"""Cells with less material are left out: their heat does not matter."""
 
 SAME_FACE = 1e-6
 """Places this close to each other are the same face of a voxel [voxel]: far from the origin they are rounded."""
@@ -41,7 +42,7 @@ class HeatGrid:
     filled: Array
     conductivity_W_mK: Array
     heat_capacity_J_m3K: Array
-    pulp: Array
+    pulp: NDArray[np.bool_]
 
     @classmethod
     def of_tooth(cls, tooth: VoxelVolume, *, reach_m: tuple[Array, Array], constants: Materials) -> "HeatGrid":
@@ -112,7 +113,7 @@ class HeatGrid:
             found.append(np.ascontiguousarray(np.moveaxis(along, 0, axis)))
         return tuple(found)
 
-    def pulp_wall(self) -> tuple[Array, Array, Array]:
+    def pulp_wall(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
         """Faces between the pulp and the material around it.
 
         Returns
@@ -122,10 +123,11 @@ class HeatGrid:
         """
         inner, outer, weights = [], [], []
         index = np.arange(self.filled.size).reshape(self.filled.shape)
+        is_held = self.filled > 0.0
         for axis, width in enumerate(self.widths_m):
             d = width.reshape([-1 if at == axis else 1 for at in range(3)])
-            half = np.moveaxis(self.conductivity_W_mK / d, axis, 0)
-            at, held, pulp = (np.moveaxis(each, axis, 0) for each in (index, self.filled > 0.0, self.pulp))
+            half, at = np.moveaxis(self.conductivity_W_mK / d, axis, 0), np.moveaxis(index, axis, 0)
+            held, pulp = np.moveaxis(is_held, axis, 0), np.moveaxis(self.pulp, axis, 0)
             both = held[1:] & held[:-1]
             for one, other in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
                 face = both & pulp[one] & ~pulp[other]
@@ -134,7 +136,7 @@ class HeatGrid:
                 weights.append(half[one][face] / (half[one][face] + half[other][face]))
         return np.concatenate(inner), np.concatenate(outer), np.concatenate(weights)
 
-    def cells_at(self, points_m: Array) -> Array:
+    def cells_at(self, points_m: Array) -> NDArray[np.intp]:
         """Flat indices of the cells that hold points, shape (n, 3); the nearest cell for a point outside."""
         at = [
             np.clip(np.searchsorted(edges, points, side="right") - 1, 0, len(edges) - 2)
@@ -180,7 +182,7 @@ def _index(names: tuple[str, ...], name: str) -> int:
     return names.index(name) if name in names else -1
 
 
-def _starts(count: int, low: float, high: float) -> Array:
+def _starts(count: int, low: float, high: float) -> NDArray[np.intp]:
     """First voxel of each cell along an axis, for a fine part from ``low`` to ``high`` [voxel]."""
     first = int(np.clip(np.floor(low + SAME_FACE), 0, count - 1))
     last = int(np.clip(np.ceil(high - SAME_FACE), first + 1, count))
@@ -188,15 +190,15 @@ def _starts(count: int, low: float, high: float) -> Array:
     return np.concatenate([first - np.cumsum(below)[::-1], np.arange(first, last), last + np.cumsum(above) - above])
 
 
-def _outward(count: int) -> Array:
+def _outward(count: int) -> NDArray[np.intp]:
     """Widths of the cells that fill a number of voxels, in the order in which they grow [voxel]."""
     widths: list[int] = []
     while (left := count - sum(widths)) > 0:
         widths.append(min(GROWTH[min(len(widths), len(GROWTH) - 1)], left))
-    return np.array(widths, dtype=np.int64)
+    return np.array(widths, dtype=np.intp)
 
 
-def _merged(values: Array, starts: list[Array]) -> Array:
+def _merged(values: Array, starts: list[NDArray[np.intp]]) -> Array:
     """Sums of voxels over cells."""
     for axis, start in enumerate(starts):
         values = np.add.reduceat(values, start, axis=axis)

@@ -20,7 +20,7 @@ __all__ = ["ToothModel"]
 CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroid_z_um")
 """Translation of the rigid tooth at the centroid of its stiff material."""
 BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
-"""Motion of the point of the rigid tooth that the bur touches: translation and rotation of the tooth in its ligament."""
+"""Motion of the point of the rigid tooth that the bur touches, by the translation and rotation of the tooth."""
 HEAT_TICKS = 20
 """Ticks of an interval of the heat."""
 WARN_M = (1.0e-3, 0.5e-3)
@@ -34,9 +34,10 @@ class ToothModel:
     least that has been reached so far: what is left of the dentin at its thinnest. Its error is half a voxel. Where
     the voxels hold no pulp it is not measured: the pulp is then farther away than the margin around the bur's reach.
 
-    The tooth's displacement follows the force at every tick by the compliance of its ligament, since enamel does not
-    bend. Stress is solved in the background, on a copy of the voxels and the force taken every ``interval_s``; the
-    result is recorded one interval later, so that it is the same however long the solve took.
+    The tooth's motion follows the force at every tick by the compliance of its ligament, as of a rigid body: at the
+    centroid of its stiff material, and at the point that the bur touches. Stress is solved in the background, on a copy
+    of the voxels and the force taken every ``interval_s``. The result is recorded one interval later, so that it does
+    not depend on how long the solve took.
 
     Parameters
     ----------
