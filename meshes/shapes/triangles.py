@@ -69,7 +69,7 @@ def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array
         return low, high
     count = np.maximum(np.ceil((high - low) / np.cbrt(np.prod(high - low) / FIRST_POINTS)).astype(int), 1)
     sides = (high - low) / count
-    centres = (np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3) + 0.5) * sides + low
+    centres = (np.moveaxis(np.indices(tuple(count.tolist())), 0, -1).reshape(-1, 3) + 0.5) * sides + low
     near = centres[np.abs(shape.distance(centres)) <= 0.5 * np.linalg.norm(sides)]
     if not len(near):
         return low, high
@@ -92,7 +92,7 @@ def _contour(
 
     first = low - 1.5 * spacing
     count = np.ceil((high - low) / spacing).astype(int) + 4
-    grid = np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3) * spacing + first
+    grid = np.moveaxis(np.indices(tuple(count.tolist())), 0, -1).reshape(-1, 3) * spacing + first
     values = np.asarray(shape.distance(grid), dtype=np.float64).reshape(count)
     padded = np.pad(values, 1, constant_values=spacing)
     if not padded.min() < 0.0:

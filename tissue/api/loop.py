@@ -184,7 +184,8 @@ class Loop:
             else:
                 assert isinstance(tool, PressingTool)
                 model, self._keep_ready = organ_met(tissue, tool, start_m, along, reach_m=reach_m)
-                clear = refuse_structures(keep_clear)
+                refuse_structures(keep_clear)
+                clear = None
         self.notes = dict(tissue.notes) | device_note(Materials.of(materials), tissue, limits=limits, hand=hand)
         self.notes["coupling"] = "; ".join(found)
         cutter = tool if isinstance(tool, Cutter) else None
@@ -243,7 +244,7 @@ class Loop:
         Parameters
         ----------
         seconds
-            How long [s].
+            Duration [s].
         real_time
             Whether a tick waits until it is due on the wall clock, as a real device needs it. Ticks then run in a
             second thread, a sample more than 1.5 ms late is not used, and a device without a command for 50 ms gets

@@ -282,6 +282,7 @@ def test_a_cut_bone_is_shaded_by_its_shape_not_by_its_voxels(tmp_path):
     assert np.quantile(angle, 0.99) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset_mm", [(0.0, 0.0, 0.0), (9000.0, -500.0, 200.0)])
 def test_a_surface_is_watertight_and_has_the_volume_that_is_left(tmp_path, offset_mm):
     """Start less removed volume, which is booked in integers; also 9 m away, before a cut and of what was removed."""

@@ -63,6 +63,7 @@ def test_a_turned_and_moved_cut_measures_the_same():
     assert cut.events[0][0] == pytest.approx(7.0 + TIMES[::20][found < 0.0][0])
 
 
+@pytest.mark.slow
 def test_a_loop_measures_its_distance_from_structures(tmp_path):
     """The nerve lies 4 mm above the bone, where the tool follows the device freely."""
 
@@ -132,6 +133,7 @@ def test_chips_beyond_the_law_are_warned_of_and_absurd_ones_refused():
             slot(spin, feed)
 
 
+@pytest.mark.slow
 def test_a_scene_reports_thick_chips_and_refuses_absurd_ones():
     change = {"voxels.spacing_mm": 0.5, "duration_s": 0.6, "motion.feed_mm_s": 10.0}
     beyond = tissue.simulate(tissue.load_scene("milling", change | {"tool.spin_rpm": 500.0}))
@@ -140,6 +142,7 @@ def test_a_scene_reports_thick_chips_and_refuses_absurd_ones():
         tissue.simulate(tissue.load_scene("milling", change | {"tool.spin_rpm": 20.0}))
 
 
+@pytest.mark.slow
 def test_a_peg_in_solid_bone_is_warned_of_and_one_in_its_hole_is_not():
     tool = tissue.cutters.flat_reamer(
         diameter_mm=8, length_mm=3, peg_diameter_mm=3, peg_length_mm=4, flutes=4, spin_rpm=500
@@ -163,6 +166,7 @@ def test_impossible_coefficients_are_refused(cutting):
         tissue.Bone.block((4, 4, 2), spacing_mm=0.5, cutting=cutting)
 
 
+@pytest.mark.slow
 def test_dense_material_is_cut_as_dense_as_it_is():
     """Chip and edge forces follow density to a given power, beyond 4,095 kg/m3, too."""
 
