@@ -132,7 +132,7 @@ def test_heat_does_not_depend_on_the_frame():
         assert rise_K(moved, *place, axes, shift) == pytest.approx(rise_K(plain, *place), rel=0.03)
 
 
-def test_stress_is_told_of_every_cut_that_the_heat_has_taken():
+def test_stress_is_given_every_cut_that_the_heat_has_taken():
     """Both take what was cut from the bricks: what a solve is given must not depend on whether there is heat."""
     given = []
     for has_heat in (False, True):
@@ -176,7 +176,7 @@ COMPLIANCE = np.diag([2e-6, 3e-6, 1e-6, 0.02, 0.03, 0.04]) + 1e-7 * (1.0 - np.ey
 
 
 class NoStress:
-    """Stands in for the solver: a tooth that gives in its ligament, and keeps what it is told."""
+    """Stands in for the solver: a tooth that gives in its ligament, and keeps the states that it is given."""
 
     def __init__(self):
         self.compliance, self.reference_m = SimpleNamespace(matrix=COMPLIANCE), np.array([1e-4, -2e-4, -8e-3])

@@ -123,7 +123,7 @@ def test_flat_end_cuts_at_the_feed_of_the_closed_form():
 
 
 def test_feed_limit_is_an_event_and_in_the_summary():
-    """30 and 60 N give one force where 1 mm/s is the limit; both say for how long it acted, 100 N in hard bone not."""
+    """30 and 60 N give one force at a limit of 1 mm/s, and both report for how long it acted; a reamer never reaches it."""
     runs = [pushed(TOOLS["drill"], thrust_N, duration_s=1.0, max_mm_s=1.0) for thrust_N in (30.0, 60.0)]
     for run, thrust_N in zip(runs, ("30", "60"), strict=True):
         limit = run.summary["feed_limit"]

@@ -112,7 +112,9 @@ class TissueModel(Protocol):
     """A tissue that a tool moves through: what every model has. What only some have are the protocols below.
 
     `place` puts the tool where it starts. Every tick `advance` lets it take away what it reaches at its new pose, then
-    `respond` gives the force at that pose. Neither allocates device memory.
+    `respond` gives the force at that pose. Neither allocates device memory. A thrust that pushes a cutter calls
+    `respond` first, at poses that it tries, and `advance` once at the pose where the forces balance: `respond` must
+    change nothing.
     """
 
     @property

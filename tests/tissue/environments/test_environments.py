@@ -154,6 +154,21 @@ def test_a_bur_that_comes_back_into_its_cut_meets_nothing():
     assert deepest > 0.3 and max(forces[1:]) < 1e-6
 
 
+def test_a_pushed_bur_balances_thrust_inertia_damping_and_the_force_of_the_same_tick():
+    """0.1 kg, 3 N and a damping that lets 3 N move it at 10 mm/s: m (v - v_before) / dt + 300 v + F = 3 N going down."""
+    env = gymnasium.make("tissue/Drilling-v0").unwrapped
+    env.reset(seed=3)
+    off, forces = [], []
+    for _ in range(400):
+        before = env._speed
+        force = float(env._tick(np.array([1.0]))[2])
+        if 0.0 < env._speed < 0.01:
+            off.append(0.1 * (env._speed - before) / 1e-3 + 300.0 * env._speed + force - 3.0)
+        forces.append(force)
+    assert max(forces) > 1.5
+    assert np.abs(off).max() < 0.01
+
+
 def test_a_palpated_slab_answers_in_proportion_to_its_modulus_however_it_is_turned():
     env = gymnasium.make("tissue/Palpation-v0").unwrapped
     fixed = {"distance_mm": 18.0, "bearing_deg": 90.0}

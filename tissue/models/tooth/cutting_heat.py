@@ -150,7 +150,8 @@ class CuttingHeat:
         voxels, lost = voxels_of(store.places, rows, steps)
         size = store.grid.spacing_m
         corners = store.grid.origin_m + size * voxels
-        return self.grid.share_out(corners, size, lost * (size**3 / FULL)) / self._volume_m3
+        volumes_m3 = lost.astype(np.float64) * (size**3 / FULL)
+        return self.grid.share_out(corners, size, volumes_m3) / self._volume_m3
 
     def _deposit(self, points_m: Array, normals: Array, weights: Array, tip_m: Array) -> None:
         """Put the power into the cells at the surface, and note how much warmer than its cell the surface is.
