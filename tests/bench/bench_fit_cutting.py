@@ -64,7 +64,7 @@ CUTS = {
 """Scene, changes, places of the tip along x and z [mm], their times [s], and the scale of what noise adds in each
 millisecond, in shares of the largest force, and torque, at the cited constants. The block's log determines coefficients
 by itself: four feeds and little noise. The other two leave some of them to their priors."""
-BLOCK = 40
+BLOCK = 20
 """Ticks of a block of the log's samples, 1 kHz, that are averaged."""
 BIAS, CORRELATION = 0.1, 0.9
 """Scale of the bias in the same shares, and correlation of the noise from one millisecond to the next."""

@@ -171,8 +171,8 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
     if not len(bounded):
         return log_density, best.u
     sides = target.sides[others[bounded]]
-    covariance = np.linalg.inv(curvature)[np.ix_(bounded, bounded)] * np.outer(sides, sides)
-    return log_density + log_factor(sides * best.u[others[bounded]], covariance), best.u
+    covariance = np.asarray(np.linalg.inv(curvature), dtype=np.float64)[np.ix_(bounded, bounded)]
+    return log_density + log_factor(sides * best.u[others[bounded]], covariance * np.outer(sides, sides)), best.u
 
 
 @dataclass(frozen=True)
