@@ -1,7 +1,7 @@
 """Force over the nodule of `palpation`, with and without it, against another finite element code.
 
 The reference (`tests/bench/nodule_reference.py`) has hexahedra that follow the ball exactly and a contact of its own.
-Counts of 4, 5 and 6 elements give an excess of REFERENCE[...] at depths of 3 and 4 mm.
+A count of 5 elements is taken; a count of 4 gives an excess of 12.7 and 11.0 % at depths of 3 and 4 mm.
 """
 
 import numpy as np
