@@ -1,7 +1,8 @@
 """Force over the nodule of `palpation`, with and without it, against another finite element code.
 
 The reference (`tests/bench/nodule_reference.py`) has hexahedra that follow the ball exactly and a contact of its own.
-Counts of 4, 5 and 6 elements give an excess of REFERENCE[...] at depths of 3 and 4 mm.
+Counts of 4, 5 and 6 elements give an excess of 12.7, 12.8, 12.8 % at 3 mm and 11.0, 11.3, 11.1 % at 4 mm; the mean of
+the last two is taken. Its own scatter there is 1.1 % of the excess.
 """
 
 import numpy as np
@@ -11,7 +12,7 @@ from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate
 
 DEPTHS_MM = np.array([3.0, 4.0])
-FORCE_N, EXCESS = np.array([0.5774, 0.8232]), np.array([0.1282, 0.1133])
+FORCE_N, EXCESS = np.array([0.5732, 0.8249]), np.array([0.1282, 0.1121])
 PRESS = {
     "motion.points_mm": [[-20, 0, 1], [-20, 0, -4], [-20, 0, -4.01]], "motion.feed_mm_s": 20.0,
     "organ.friction": 0.0, "organ.interval_ms": 0.0,
