@@ -230,6 +230,7 @@ def test_a_lock_of_the_user_is_kept(refused, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_no_command_touches_what_it_did_not_write(command, tmp_path, monkeypatch):
     """Foreign files lie in every folder, on every level; each command writes twice."""
     monkeypatch.chdir(tmp_path)
@@ -241,15 +242,13 @@ def test_no_command_touches_what_it_did_not_write(command, tmp_path, monkeypatch
         "band/mine.toml",
         "data/trace.csv",
     ]
-    run = ("run", "milling", *COARSE[:2], "--set", "motion.feed_mm_s=50", "--duration-s", 0.3)
+    run = ("run", "milling", *COARSE[:2], "--set", "motion.feed_mm_s=50", "--duration-s", 0.15)
     assert command(*run, "--no-pictures", "--out", "reference")[0] == 0
     writing = {
         "made": (*run, "--format", "npz", "--band", 16),
         "swept": ("sweep", *WALL, "--set", "seed=1,2", "--workers", 1),
         "compared": ("compare", "made", "reference"),
         "assessed": ("assess", "made", "--against", "reference"),
-        "stable": ("stability", "wall"),
-        "atlas": ("stability", "--only", "smoothness"),
         "felt": ("chart", "perception"),
     }
     mine = {}

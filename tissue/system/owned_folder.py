@@ -123,6 +123,8 @@ class OwnedFolder:
 
     def release(self) -> None:
         """Let go of the folder; a second call does nothing."""
+        if self in OWNERS and not any(self._files.values()):
+            (self._path / MARKER).unlink(missing_ok=True)  # nothing was written: the folder is as it was
         OWNERS.discard(self)
         self._lock.release()
 

@@ -130,6 +130,24 @@ def test_runs_of_other_scenes_are_not_replaced(pressed, out):
         tissue.sweep(pressed, {"seed": [1, 2]}, out=out)
 
 
+def test_a_path_that_a_run_does_not_finish_is_noted(command, out):
+    """A path of 10 mm at 10 mm/s lasts 1 s; the run of 0.05 s does not finish it, that of 1.5 s does."""
+    path = {"motion.points_mm": [[0, 0, 20], [0, 0, 10]], "motion.feed_mm_s": 10.0, "hand": "expert"}
+    scene = tissue.load_scene("wall", path)
+    found = tissue.sweep(scene, {"duration_s": [0.05, 2.5]}, out=out)
+    assert (
+        list(found.notes) == ["duration_s=0.05"]
+        and "not finished: the run ends at 0.05 s" in found.notes["duration_s=0.05"]
+    )
+    rows = list(csv.DictReader((out / "sweep.csv").open()))
+    assert rows[0]["note"].startswith("not finished") and rows[1]["note"] == ""
+    notes = found.compare().notes
+    assert any(note.startswith("the path of duration_s=0.05 is not finished") for note in notes)
+    assert any("simulated time differs" in note for note in notes)
+    _, _, error = command("sweep", "wall", "--set", "duration_s=0.05", "--out", out.with_name("other"))
+    assert "note: wall: the path is not finished" in error
+
+
 def test_a_stop_keeps_what_is_finished(pressed, out, monkeypatch):
     simulated = module.simulate
 

@@ -87,11 +87,12 @@ def test_bad_use_of_the_schema_is_refused(refused, tmp_path):
         "tissue schema must be given nothing more, got glenoid: see `tissue schema --help`"
     )
     (tmp_path / "file").write_text("")
-    for folder in (tmp_path / "file", tmp_path / "none"):
-        path = folder / "scene.json"
-        assert refused("schema", "--out", path) == (
-            f"out must lie in a folder that exists, got {path}: create {folder}"
-        )
+    path = tmp_path / "none" / "scene.json"
+    assert refused("schema", "--out", path) == f"out must lie in a folder that exists, got {path}: create {path.parent}"
+    path = tmp_path / "file" / "scene.json"
+    assert refused("schema", "--out", path) == (
+        f"out must lie in a folder, got {path} under the file {path.parent}: choose another --out"
+    )
     for switch in ((), ("--overwrite",)):
         assert refused("schema", "--out", tmp_path, *switch) == (
             f"out must be a file, got the folder {tmp_path}: add the name of a file"

@@ -10,6 +10,7 @@ from tissue.cli.main import main
 from tissue.evaluation.assessment import assess, assessment_lines
 from tissue.evaluation.assessment_files import write_assessment
 from tissue.evaluation.statistics.alignment import aligned_rows, deviation_mm
+from tissue.scene.load import load_scene
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.trace import Table, TraceLayout, TraceWriter
 
@@ -156,3 +157,45 @@ def test_the_command_prints_and_refuses(tmp_path, capsys, monkeypatch):
     assert "breach: distance from the path above 1 mm" in message and "assessment.png" in message
     assert run_command(monkeypatch, tmp_path / "none", "--against", tmp_path / "r") == 2
     assert "run must be a folder that `tissue run` wrote" in capsys.readouterr().err
+
+
+def of_scene(run, **changes):
+    """A run as one of the built-in scene of milling with some changes."""
+    run.scene = load_scene("milling", {name.replace("__", "."): value for name, value in changes.items()})
+    return run
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"tool__diameter_mm": 5.0},
+        {"anatomy__density_kg_m3": 1500.0},
+        {"cutting__density_exponent": 1.0},
+        {"materials": "m"},
+    ],
+)
+def test_runs_of_two_tasks_are_not_assessed(tmp_path, change):
+    """With another tool, tissue or material another force is right, so that no breach means anything."""
+    if "materials" in change:
+        constants = "radial_chip_N_mm2 = { value = 40.0, range = [30.0, 50.0], source = 'x', confidence = 'L' }"
+        (tmp_path / "m.toml").write_text(f"[cutting.bone]\n{constants}\n")
+        change = {"materials": str(tmp_path / "m.toml")}
+    reference = of_scene(saved(tmp_path / "r", reach(1.0)))
+    with pytest.raises(InputError, match=r"run and reference must be of one (task|material), got"):
+        assess(of_scene(saved(tmp_path / "t", reach(1.0)), **change), reference)
+    found = assess(of_scene(saved(tmp_path / "o", reach(1.0)), hand="novice", device="touch", seed=3), reference)
+    assert found.notes == ()
+
+
+def test_what_limits_an_assessment_is_noted(tmp_path):
+    reference, trainee = (of_scene(saved(tmp_path / name, reach(1.0))) for name in "rt")
+    trainee.scene = load_scene("milling", {"duration_s": 1.0, "voxels.spacing_mm": 0.4})
+    trainee.summary["notes"] = {"path": "not finished: the run ends at 1 s, the motion at 8 s; set duration_s = 8"}
+    notes = assess(trainee, reference).notes
+    assert len(notes) == 3 and notes[-1].startswith("the path of the trainee is not finished: the run ends at 1 s")
+    assert any("duration_s: trainee 1, reference" in each for each in notes)
+    assert any("voxels.spacing_mm: trainee 0.4, reference" in each for each in notes)
+    lines = assessment_lines(assess(trainee, reference))
+    assert sum(line.startswith("note: ") for line in lines) == 3
+    write_assessment(assess(trainee, reference), tmp_path / "out", overwrite=False)
+    assert json.loads((tmp_path / "out" / "assessment.json").read_text())["notes"] == list(notes)

@@ -136,7 +136,7 @@ def test_a_short_folder_leaves_the_data_of_the_page_alone(run_folder, tmp_path, 
 def test_a_file_that_is_there_is_kept(run_folder, tmp_path):
     out = tmp_path / "kept.html"
     out.write_text("mine")
-    with pytest.raises(InputError, match=r"out must not be there, got .*kept\.html: pass --overwrite to replace it"):
+    with pytest.raises(InputError, match=r"out must not exist yet, got .*kept\.html: pass --overwrite"):
         report(run_folder("wall"), out)
     assert out.read_text() == "mine"
     assert report(run_folder("wall"), out, overwrite=True) == out and len(out.read_text("utf-8")) > 1e6

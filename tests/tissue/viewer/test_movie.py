@@ -60,16 +60,9 @@ def test_a_movie_that_breaks_off_leaves_the_older_one(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["run.gif"]
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("run.avi", r"movie must be a .mp4 or .gif file, got .*run.avi: use .*run.gif$"),
-        ("none/run.gif", "movie must lie in an existing folder, got .*: make the folder first$"),
-    ],
-)
-def test_a_movie_needs_an_ending_and_a_place(tmp_path, name, message):
-    with pytest.raises(InputError, match=message):
-        check_movie(tmp_path / name)
+def test_a_movie_needs_an_ending(tmp_path):
+    with pytest.raises(InputError, match=r"movie must be a .mp4 or .gif file, got .*run.avi: use .*run.gif$"):
+        check_movie(tmp_path / "run.avi")
 
 
 def test_without_ffmpeg_the_remedy_is_a_gif(tmp_path, monkeypatch):

@@ -17,10 +17,10 @@ from tissue.viewer.fields import FieldsShown
 from tissue.viewer.view import _about, view
 
 
-def _screenshot(folder, picture) -> str:
+def _screenshot(folder, picture, **options) -> str:
     """What `view` prints; skips the test where no OpenGL works."""
     try:
-        return view(folder, screenshot=picture)
+        return view(folder, screenshot=picture, **options)
     except InputError as problem:
         if "OpenGL" in str(problem):
             pytest.skip(str(problem))
@@ -38,7 +38,9 @@ def _colours(path) -> int:
 def test_screenshot_of_a_whole_run(whole, tmp_path):
     picture = tmp_path / "view.png"
     picture.write_bytes(b"an older picture")
-    report = _screenshot(whole, picture)
+    with pytest.raises(InputError, match="screenshot must not exist yet"):
+        _screenshot(whole, picture)
+    report = _screenshot(whole, picture, overwrite=True)
     assert report.startswith("milling: 0.3 s, force up to ")
     assert report.endswith(f"screenshot in {picture}")
     assert _colours(picture) > 100
@@ -151,7 +153,7 @@ def test_a_folder_without_a_run_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "message"), [("view.jpeg", "must be a .png file"), ("none/view.png", "must lie in an existing folder")]
+    ("name", "message"), [("view.jpeg", "must be a .png file"), ("none/view.png", "must lie in a folder that exists")]
 )
 def test_a_screenshot_needs_a_place(whole, tmp_path, name, message):
     with pytest.raises(InputError, match=message):
@@ -187,7 +189,7 @@ def test_what_is_not_drawn_to_its_end_leaves_no_file_and_keeps_an_older_one(
     monkeypatch.setattr("tissue.viewer.view.check_movie", lambda path: None)
     monkeypatch.setattr("tissue.viewer.view.require_whole", lambda saved: None)  # it starts a process each time
     with pytest.raises(KeyboardInterrupt if isinstance(ends, KeyboardInterrupt) else InputError):
-        view(whole, **{kind: file}, progress=lambda doing, share: reported.append((doing, share)))
+        view(whole, **{kind: file}, overwrite=True, progress=lambda doing, share: reported.append((doing, share)))
     assert reported == [(f"drawing the {kind}", 0.0), (f"drawing the {kind}", 0.5)]
     assert [one.name for one in tmp_path.iterdir()] == ([] if older is None else [name])
     assert older is None or file.read_bytes() == older
