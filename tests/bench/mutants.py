@@ -209,8 +209,9 @@ def _require_sound(runs: Runs, score: Score, table: Table) -> None:
 
 def coverage(table: Table, folder: Path) -> None:
     """Print the branch coverage of the guarded modules by their guarding tests; kernels are compiled and not seen."""
-    tests = sorted({test for tests in table.guards.values() for test in tests})
-    paths = [file_of(module, ROOT) for module in table.guards if not module.startswith("kernels.")]
+    modules = [module for module in table.guards if not module.startswith("kernels.")]
+    tests = sorted({test for module in modules for test in table.guards[module]})
+    paths = [file_of(module, ROOT) for module in modules]
     include = ",".join(str(path.relative_to(ROOT)) for path in paths if path is not None)
     data = f"--data-file={folder / 'coverage'}"
     command = [sys.executable, "-m", "coverage"]

@@ -119,7 +119,7 @@ def test_trilinear_sampling_equals_scipy():
 
 
 def test_a_voxel_outside_the_grid_on_any_side_has_no_row():
-    """Two bricks each way, all stored: rows of the inside, -1 one voxel beyond every face."""
+    """Two bricks along each axis, all stored: rows of the inside, -1 one voxel beyond every face."""
     brick_of = np.arange(8, dtype=np.int32).reshape(2, 2, 2)
     voxels = np.array(list(np.ndindex(18, 18, 18))) - 1
     places = wp.zeros((len(voxels), 2), dtype=int, device="cpu")

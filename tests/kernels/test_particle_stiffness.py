@@ -102,6 +102,25 @@ def test_a_single_particle_leaves_twelve_more_modes_that_the_inner_stiffness_clo
         assert int((values > 1e-10 * values[-1]).sum()) == rank
 
 
+def test_a_centre_particle_of_the_full_volume_is_closed_to_the_exact_cell():
+    """What one particle in the middle misses is the rest of the cell's integral, here by 3 x 3 x 3 Gauss points.
+
+    That rest is kept for equal Lame constants, that is for a Poisson's ratio of 1/4, and E = 2.5 mu.
+    """
+    edge, first, shear = 1e-3, 5e9, 5e9
+    modulus, ratio = 2.5 * shear, 0.25
+    particles = ParticleSet.uniform(
+        np.full((1, 3), 0.5 * edge), volume_m3=edge**3, modulus_Pa=modulus, poisson_ratio=ratio
+    )
+    grid = HexGrid.around(particles.position_m, edge_m=edge, origin_m=np.zeros(3))
+    found = CellStiffness(particles, grid, inner_strength=1.0).cell_matrices()[0]
+    line, weight = np.polynomial.legendre.leggauss(3)
+    places = np.stack(np.meshgrid(*[0.5 + 0.5 * line] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    weights = np.einsum("i,j,k->ijk", weight, weight, weight).ravel() / 8.0
+    exact = full_cell_stiffness(edge, places, weights * edge**3, first_Pa=first, shear_Pa=shear)
+    assert np.abs(found - exact).max() <= 1e-12 * np.abs(exact).max()
+
+
 def test_inner_stiffness_vanishes_on_linear_fields():
     """Energy of a random linear field: that of the particles alone."""
     particles, grid = random_body(seed=2)

@@ -1,8 +1,12 @@
 """Stress at particles, and its invariants, against plain NumPy."""
 
 import numpy as np
+import pytest
+import warp as wp
+from scipy.spatial.transform import Rotation
 from tooth_bodies import block
 
+from kernels.particle_stress import principal_values
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.stress import particle_stress, stress_invariants
 from tissue.models.tooth.supports import NodeSupports
@@ -60,3 +64,23 @@ def test_uniform_pressure_has_equal_principal_values():
     von_mises, principal = stress_invariants(particle_stress(body.cells, 1e-3 * grid.node_position_m))
     assert np.allclose(principal, pressure, rtol=1e-9)
     assert np.abs(von_mises).max() < 1e-9 * pressure
+
+
+@wp.kernel
+def evaluate_principal(stress: wp.array(dtype=wp.mat33d), values_out: wp.array(dtype=wp.vec3d)):
+    i = wp.tid()
+    values_out[i] = principal_values(stress[i])
+
+
+@pytest.mark.parametrize(
+    "wanted", [(2.0, -1.0, -1.0), (1.0, 1.0, -2.0), (3.0, 0.0, 0.0), (5.0, 2.0, -4.0), (0.0, 0.0, 0.0)]
+)
+def test_principal_values_of_turned_matrices(wanted):
+    """Of 2,000 rotations; where two values are equal the cosine lies at the end of its range, where it may round over."""
+    turns = Rotation.random(2000, random_state=0).as_matrix()
+    stress = np.einsum("nij,j,nkj->nik", turns, wanted, turns)
+    out = wp.zeros(len(stress), dtype=wp.vec3d, device="cpu")
+    wp.launch(
+        evaluate_principal, dim=len(stress), inputs=[wp.array(stress, dtype=wp.mat33d)], outputs=[out], device="cpu"
+    )
+    assert out.numpy() == pytest.approx(np.broadcast_to(wanted, (2000, 3)), abs=1e-7)  # the root of rounding

@@ -62,3 +62,9 @@ def test_the_ball_around_a_shell_lies_halfway_between_its_ends():
     points = np.vstack([ring, ring]) + np.repeat([[0.0, 0.0, 1e-3], [0.0, 0.0, 9e-3]], 16, axis=0)
     shell = ShellProbe(points, np.vstack([ring, ring]) / 3e-3, np.full(32, 1e-6))
     assert shell.size_m == pytest.approx((5e-3, 5e-3))
+
+
+def test_the_centre_of_a_ball_is_its_radius_deep_with_a_unit_normal():
+    distance, normal = SphereProbe(4e-3).distance(np.array([[0.0, 0.0, 4e-3], [0.0, 3e-3, 8e-3]]))
+    assert distance == pytest.approx([-4e-3, 1e-3])
+    assert normal == pytest.approx(np.array([[0.0, 0.0, -1.0], [0.0, 0.6, 0.8]]))

@@ -12,7 +12,7 @@ from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, judge
 from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration, constant_acceleration_map
 from tissue.haptics.loop.forecast import Forecast
-from tissue.haptics.loop.sampled_loop import SampledVelocity
+from tissue.haptics.loop.sampled_loop import ForecastMemory, SampledVelocity
 from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.models.wall import WallModel
 
@@ -88,3 +88,34 @@ def test_the_loop_s_filter_is_that_of_one_device_for_several_places_at_once():
         found, wanted = sampled.step(place - places[0]), single.step(place)
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
     assert SampledVelocity(replace(loop, velocity_memory=None), np.zeros((0, 2))).step(places[0]) is None
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_a_forecast_is_the_sum_of_its_taps_over_what_was_seen(filtered):
+    """F + C (sum of taps (x, v, F) at each age - F), with answers to place and speed scaled by the coupling's stiffness.
+
+    Two loops side by side, a model every second tick: a tick without a force of the model adds none.
+    """
+    rng = np.random.default_rng(2)
+    taps = rng.normal(size=(2, 3, 3))
+    loop = replace(
+        device_parameters("touch").loop(400.0, model_ticks=2),
+        forecast=Forecast(taps=taps, gain=0.7, stiffness_N_m=250.0),
+        velocity_memory=0.9 if filtered else None,
+    )
+    positions, forces, speeds = rng.normal(size=(4, 2)), rng.normal(size=(3, 2)), rng.normal(size=(3, 2))
+    if not filtered:
+        speeds = (positions[:-1] - positions[1:]) / TICK
+    for tick in (0, 1):
+        known = list(positions[1:]), list(speeds[1:]) if filtered else [], list(forces[1:])
+        memory = ForecastMemory(loop, *known)
+        found = memory.predict(positions[0], speeds[0] if filtered else None, forces[0], tick)
+        total = np.zeros(2)
+        for age in range(3):
+            phase = (tick - age) % 2
+            by_place, by_speed, by_force = taps[phase, age]
+            total += 400.0 / 250.0 * (by_place * positions[age] + by_speed * speeds[age])
+            total += by_force * forces[age] if phase == 0 else 0.0
+        np.testing.assert_allclose(found, forces[0] + 0.7 * (total - forces[0]), rtol=1e-12)
+        np.testing.assert_array_equal(memory.positions, positions[:3])
+        np.testing.assert_array_equal(memory.forces, forces[:2])
