@@ -193,7 +193,7 @@ def test_matlab_that_inflates_beyond_the_limit_is_refused(tmp_path):
 
     savemat(tmp_path / "log.mat", {"time_s": np.zeros(60_000_000)}, do_compression=True)
     savemat(tmp_path / "few.mat", {"time_s": np.zeros(1000)}, do_compression=True)
-    child = Reading(longest_s=60.0, max_memory_GB=0.4)
+    child = Reading(longest_s=60.0, max_memory_GB=0.1)
     outcome, message = child.read("log", tmp_path / "log.mat")
     assert outcome == "refused" and "memory" in message
     assert child.read("log", tmp_path / "few.mat") == ("read", "")
