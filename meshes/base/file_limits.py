@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive
 
-__all__ = ["memory_limit", "memory_limit_bytes", "read_npz", "require_memory", "require_regular"]
+__all__ = ["given_limit_GB", "memory_limit", "memory_limit_bytes", "read_npz", "require_memory", "require_regular"]
 
 _GB = 1e9
 _FREE_SHARE = 0.5
@@ -35,6 +35,11 @@ def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
         yield
     finally:
         _limit_GB.reset(token)
+
+
+def given_limit_GB() -> float | None:
+    """Return the limit that `memory_limit` set [GB]; None without one."""
+    return _limit_GB.get()
 
 
 def memory_limit_bytes() -> int:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from meshes.base.child_process import kill_with_parent, python_command, start_code
 from meshes.base.errors import DamagedFileError, InputError
-from meshes.base.file_limits import memory_limit_bytes, require_regular
+from meshes.base.file_limits import given_limit_GB, memory_limit, memory_limit_bytes, require_regular
 
 __all__ = ["Answer", "parse_isolated"]
 
@@ -35,6 +35,8 @@ _START = start_code("meshes.base.isolated_parser", "_serve")
 _LONGEST_S, _BYTES_A_SECOND = 60.0, 1_000_000
 _LEAST_BYTES, _BYTES_A_BYTE = 2 << 30, 64
 """Memory that a parser may take at least, and for each byte of the file: label images shrink to a hundredth."""
+_LIBRARIES_BYTES = 256 << 20
+"""Memory of the interpreter and its libraries, which does not count against the memory limit of files."""
 _LOOK_EVERY_S, _LAST_S = 0.05, 2.0
 
 
@@ -76,7 +78,7 @@ def parse_isolated(
         require_regular(file)
     size = sum(each.stat().st_size for each in (file.rglob("*") if file.is_dir() else [file]) if each.is_file())
     limit_s = longest_s if longest_s is not None else _LONGEST_S + size / _BYTES_A_SECOND
-    request = json.dumps([parser, str(file.absolute()), options])
+    request = json.dumps([parser, str(file.absolute()), options, given_limit_GB()])
     command = python_command(_START, request, str(os.getpid()), str(limit_s))
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
@@ -112,7 +114,7 @@ class _Monitor:
         import psutil
 
         self.reason, self.done = "", Event()
-        most_bytes = min(most_bytes, memory_limit_bytes())
+        most_bytes = min(most_bytes, memory_limit_bytes() + _LIBRARIES_BYTES)
 
         def end_when_over() -> None:
             """Look at the process until `done` is set, and kill it with a reason once it is over a limit."""
@@ -156,11 +158,12 @@ def _serve() -> None:
         return
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what the libraries print goes where nobody looks
-    name, file, options = json.loads(request)
+    name, file, options, max_memory_GB = json.loads(request)
     module, function = name.split(":")
     arrays: Mapping[str, NDArray[np.number]] = {}
     try:
-        facts, arrays = getattr(import_module(module), function)(Path(file), **options)
+        with memory_limit(max_memory_GB):
+            facts, arrays = getattr(import_module(module), function)(Path(file), **options)
         arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
         answer = {"facts": facts, "arrays": [(key, each.dtype.str, each.shape) for key, each in arrays.items()]}
     except InputError as problem:

@@ -64,8 +64,7 @@ def read_image(
             f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for "
             f"{source}: use the scanner's value, for example 0.0195"
         )
-    has_slices = slices and given is not None
-    stored = read_tiff_slices(slices, given, labels=labels) if has_slices else _stored(path, series)
+    stored = read_tiff_slices(slices, given, labels=labels) if slices and given is not None else _stored(path, series)
     if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
         note = f"The spacing in {source} is exactly 1 mm, often a placeholder: set anatomy.spacing_mm to be sure."
         stored = replace(stored, notes=(*stored.notes, note))

@@ -174,14 +174,14 @@ def _planes(file: Path) -> _Planes:
 
     try:
         with tifffile.TiffFile(file) as stored:
-            page, series = stored.pages[0], stored.series[0]
+            page, series = stored.pages.first, stored.series[0]
             axes = dict(zip(series.axes, series.shape, strict=True))
             further = [other.keyframe for other in stored.series[1:]]
             reduced = sum(bool(other.is_reduced) for other in further)
             photometric, samples = int(page.photometric), int(page.samplesperpixel)
             rows, columns = int(axes.pop("Y")), int(axes.pop("X"))
             bits, dtype = int(page.bitspersample), series.dtype
-            size, held = prod(series.shape) * series.dtype.itemsize, sum(stored.pages[0].databytecounts)
+            size, held = prod(series.shape) * series.dtype.itemsize, sum(page.databytecounts)
             plain = (
                 int(page.compression) == _UNCOMPRESSED and len(stored.pages) == prod(series.shape) // rows // columns
             )

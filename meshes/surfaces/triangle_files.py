@@ -61,7 +61,7 @@ def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
         import trimesh
 
         # A PLY file may name a texture that is not there, of which trimesh would print a traceback.
-        options = {"skip_materials": True} if kind == "PLY" else {}
+        options: dict[str, Any] = {"skip_materials": True} if kind == "PLY" else {}
         mesh: Any = trimesh.load(file, force="mesh", process=False, **options)
         return mesh.vertices, mesh.faces
     except Exception as problem:  # the readers raise many kinds, none documented

@@ -19,8 +19,6 @@ __all__ = ["LogColumns", "read_columns"]
 
 DRILLING = ("physics_data", "high_frequency_poses")
 """Groups by which a recording of volumetric_drilling is known."""
-_BYTES = 8
-"""Of a number in memory."""
 POSE_NAMES = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 LOAD_NAMES = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
 
@@ -114,13 +112,14 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
 
 
 def _parquet(path: Path) -> LogColumns:
-    parquet = _module("pyarrow.parquet", "parquet")
-    about = parquet.ParquetFile(path).metadata
-    chunks = [about.row_group(k).column(j) for k in range(about.num_row_groups) for j in range(about.num_columns)]
-    needed = sum(max(_BYTES * chunk.num_values, chunk.total_uncompressed_size) for chunk in chunks)
-    require_memory(max(needed, _BYTES * about.num_rows * about.num_columns), path.name, f"{about.num_rows:.3g} rows")
-    table = parquet.read_table(path)
-    return _held({name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names})
+    _module("pyarrow.parquet", "parquet")
+    return _isolated("parquet_columns", path)
+
+
+def _isolated(parser: str, path: Path) -> LogColumns:
+    """Columns that a parser finds in a process of its own."""
+    name = f"tissue.fitting.isolated_columns:{parser}"
+    return _held(parse_isolated(name, path, what=f"{path.suffix} file", remedy="export it again")[1])
 
 
 def _npz(path: Path) -> LogColumns:
@@ -132,10 +131,7 @@ def _mat(path: Path) -> LogColumns:
         first = stream.read(10)
     if first == b"MATLAB 7.3":
         return _structs(path)
-    _, columns = parse_isolated(
-        "tissue.fitting.mat_columns:mat_columns", path, what=".mat file", remedy="export it again"
-    )
-    return _held(columns)
+    return _isolated("mat_columns", path)
 
 
 def _h5(path: Path) -> LogColumns:
