@@ -216,8 +216,8 @@ STOPPED = {
 }
 
 
-PROGRESS = re.compile(r"trial \d+ of \d+, [\d.]+ (s|min) left\n")
-"""What a study prints of its progress where no terminal shows a bar."""
+PROGRESS = re.compile(r".*, \d+ %\n")
+"""Progress that a command prints every half a minute where no terminal shows a bar."""
 
 
 @pytest.mark.slow

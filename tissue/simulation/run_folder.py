@@ -247,11 +247,11 @@ def _adopted(path: Path) -> set[str]:
         saved = SavedRun(path)
         if saved.scene is None or not isinstance(saved.summary.get("tissue"), str):
             return set()
-        own = saved.scene.name == saved.summary["scene"] and KEPT_SCENE.match(kept.read_text("utf-8"))
+        is_kept = saved.scene.name == saved.summary["scene"] and KEPT_SCENE.match(kept.read_text("utf-8"))
         whole = not saved.complete or (table.is_file() and (path / "timing.csv").is_file())
     except (InputError, OSError):
         return set()
-    return named_as_run_files(path) if own and whole else set()
+    return named_as_run_files(path) if is_kept and whole else set()
 
 
 def _status_of(summary: Summary) -> str:

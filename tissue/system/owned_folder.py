@@ -85,14 +85,14 @@ class OwnedFolder:
         """Remove the files of an earlier output and mark the folder as one of tissue."""
         replaced = self._check()  # another process may have written here since
         self._files = listed_files(self._path)
-        own = self._files.setdefault(self._kind, set(self._adopted))
+        listed = self._files.setdefault(self._kind, set(self._adopted))
         self._write_marker()
         for name in sorted(replaced, reverse=True):
             (self._path / name).unlink(missing_ok=True)
             with suppress(OSError):
                 (self._path / name).parent.rmdir()  # only where nothing else is left in it
         self._path.mkdir(exist_ok=True)
-        own &= {name for name in own if os.path.lexists(self._path / name)}
+        listed &= {name for name in listed if os.path.lexists(self._path / name)}
         self._write_marker()
         OWNERS.add(self)
 
@@ -112,12 +112,12 @@ class OwnedFolder:
         if PurePosixPath(name).name == MARKER:
             return
         with self._writing:
-            own = self._files.setdefault(self._kind, set())
-            if name in own and not _is_foreign(self._path, name):
+            listed = self._files.setdefault(self._kind, set())
+            if name in listed and not _is_foreign(self._path, name):
                 return
             if os.path.lexists(self._path / name) or _has_foreign_parent(self._path, name):
                 raise _foreign(self._path, name, self._files)
-            own.add(name)
+            listed.add(name)
             self._write_marker()
             _claimed.add(self._place)
 
@@ -191,10 +191,10 @@ def require_folder(
     """
     require_place(path, folder=True)
     files = listed_files(path)
-    own = files.get(kind, set(adopted))
+    listed = files.get(kind, set(adopted))
     there = _present(path, names)
     for name in sorted(there | _present(path, shared)):
-        if name not in own or _is_foreign(path, name):
+        if name not in listed or _is_foreign(path, name):
             raise _foreign(path, name, files)
     if there and not overwrite:
         raise InputError(

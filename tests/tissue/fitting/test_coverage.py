@@ -9,7 +9,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "bench"))
 
 from bench_fit_cutting import one
 
-FITS = 30
+FITS = 20
 
 
 @pytest.mark.slow
