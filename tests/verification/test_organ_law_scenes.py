@@ -9,7 +9,7 @@ from tissue.simulation.simulate import simulate
 LAWS = {
     "neo-hookean": {},
     "mooney-rivlin": {"second_share": 0.3},
-    "yeoh": {"square_ratio": 0.5},
+    "yeoh": {"square_ratio": 0.2},
     "ogden": {"exponent": 8.0},
 }
 SCENES = {
