@@ -45,6 +45,8 @@ class Table:
         table = tomllib.loads(path.read_text())
         self.guards = {module: _test_files(names) for module, names in table["guards"].items()}
         self.equivalent = {entry["mutant"]: entry["reason"] for entry in table.get("equivalent", [])}
+        split = [address.split(" | ", 1) for address in self.equivalent]
+        self._moved = {place for module, place in split if file_of(module, ROOT) is None}
         self._all: list[Mutant] | None = None
 
     def of(self, module: str) -> list[Mutant]:
@@ -52,7 +54,8 @@ class Table:
         path = file_of(module, ROOT)
         if path is None:
             return []
-        return [each for each in mutants_of(module, path.read_text()) if each.address not in self.equivalent]
+        found = mutants_of(module, path.read_text())
+        return [each for each in found if each.address not in self.equivalent and each.place not in self._moved]
 
     def placed(self, address: str) -> Mutant | None:
         """Mutant of an address; in another module if its function has moved, None if it is nowhere."""
@@ -178,7 +181,8 @@ def measure(table: Table, draw: Iterator[str], count: int, *, workers: int, limi
         started += 1
         module = address.split(" | ")[0]
         mutant = table.placed(address)
-        tests = table.guards.get(module, [])
+        moved = mutant.module if mutant else module
+        tests = table.guards.get(moved) or table.guards.get(module, [])
         if mutant is None or not tests:
             score.add(address, mutant, module, Verdict("no place" if mutant is None else "no tests"))
             continue

@@ -157,3 +157,27 @@ def test_a_long_step_is_carved_in_parts_of_half_a_voxel_at_most():
         motion.tip_m[2] = -travel * SPACING_M
         bone.advance(motion)
         assert bone.carver.changes - before == parts
+
+
+@pytest.mark.parametrize(("degrees", "turns"), [(5.0, False), (20.0, False), (30.0, True), (90.0, True)])
+def test_a_tool_that_turns_first_completes_its_cut_and_keeps_it_as_an_older_one(degrees, turns):
+    """It turns where its direction keeps less than 0.9, that is from 26 degrees on; 10 um before that are owed."""
+    radius = 1e-3
+    bone, down = solid_bone(radius, 2.4e-3), np.array([0.0, 0.0, -1.0])
+    travels = np.arange(1, 11) * 1e-6
+    removed = slide(bone, np.array([0.0, 0.0, -1e-3]), down, travels)
+    start = removed_m3(bone) - removed[-1]
+    assert removed[-1] < 0.8 * np.pi * radius**2 * travels[-1]
+    motion = ToolMotion(speed_m_s=1e-3)
+    motion.heading[0] = [np.sin(np.radians(degrees)), 0.0, -np.cos(np.radians(degrees))]
+    motion.tip_m[:] = np.array([0.0, 0.0, -1e-3]) + travels[-1] * down + 1e-8 * motion.heading[0]
+    bone.advance(motion)
+    older, swept = (array.numpy() for array in (bone.store.older, bone.store.swept))
+    assert (older >= swept).all()
+    cut = (swept > 0) & (swept < 65534)
+    share = (older[cut] == swept[cut]).mean()
+    if turns:
+        assert share > 0.99
+        assert removed_m3(bone) - start == pytest.approx(np.pi * radius**2 * travels[-1], rel=0.02)
+    else:
+        assert share < 0.5

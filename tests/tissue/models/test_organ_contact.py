@@ -121,6 +121,22 @@ def test_a_shell_that_jumps_is_felt_by_all_its_points(slab):
     assert jumped.force_N[2] == pytest.approx(force, rel=0.1)
 
 
+def test_where_a_shell_s_frame_lies_does_not_matter(slab):
+    """The same ball of points in a frame of its tip, and in one that is upside down 3 cm above it."""
+    ball = trimesh.creation.icosphere(3, 0.012)
+    ball.apply_translation([0.0, 0.0, 0.012])
+    near = ShellProbe.from_mesh(ball, points=400)
+    upside_down, above = np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.03])
+    far = ShellProbe((near.points_m - above) @ upside_down, near.normals @ upside_down, near.areas_m2)
+    path = away([0.002, 0.001, -0.004])
+    wanted = along(slab.contact(near, friction=0.2), path)
+    force, torque = wanted.force_N.copy(), wanted.torque_Nm.copy()
+    found = along(slab.contact(far, friction=0.2), [tip + above for tip in path], upside_down)
+    assert force[2] > 1e-2
+    np.testing.assert_allclose(found.force_N, force, atol=1e-6 * np.linalg.norm(force))
+    np.testing.assert_allclose(found.torque_Nm, torque - np.cross(above, force), atol=1e-6 * np.linalg.norm(torque))
+
+
 def test_a_drag_sticks_first_and_then_slips_at_the_coefficient(slab):
     contact = slab.contact(SphereProbe(0.011), friction=0.3, spacing_m=1.0, **TIGHT)
     path = [np.array([0.0, 0.0, z]) for z in np.linspace(0.0005, -0.002, 26)]
