@@ -30,9 +30,7 @@ __all__ = ["Bone"]
 
 
 class Bone:
-    """Bone in the frame of its file or array [mm], which keeps its cuts.
-
-    Make one by `from_file`, `block`, `from_array` or `from_image`.
+    """Bone in the frame of its file or array [mm]; `from_file`, `block`, `from_array` and `from_image` make one.
 
     Attributes
     ----------
@@ -293,8 +291,7 @@ class Bone:
         return plot_surface(self.surface(), self.layer_names, **options)
 
     def __repr__(self) -> str:
-        low, high = self.bounds_mm
-        size = " x ".join(f"{side:.4g}" for side in high - low)
+        size = " x ".join(f"{side:.4g}" for side in np.ptp(self.bounds_mm, axis=0))
         cut = self.removed.volume_mm3
         return (
             f"Bone({size} mm, {', '.join(self.layer_names)}, voxels of {self.spacing_mm:g} mm"

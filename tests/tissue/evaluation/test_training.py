@@ -104,7 +104,8 @@ def test_train_writes_what_a_run_can_use(command, refused, here):
     assert refused("train", "wall", "--out", "mine.npz") == (
         "out must not exist yet, got mine.npz: pass --overwrite or choose another --out"
     )
-    assert refused("train", "wall", "--trials", "3") == "trials must be at least 6, got 3: use 12"
+    assert refused("train", "wall", "--trials", "3") == "trials must be from 6 to 10000, got 3: use 12"
+    assert "trials must be from 6 to 10000" in refused("train", "wall", "--trials", "9" * 400)
     assert refused("train", "wall", "--out", "no/where.npz") == (
         "out must lie in a folder that exists, got no/where.npz: create no"
     )
@@ -129,4 +130,5 @@ def test_a_chart_of_predictors(command, refused, here):
     rows = (here / "chart" / "errors.csv").read_text().splitlines()
     assert len(rows) == 1 + len(PREDICTORS) * 7
     assert "out must not hold another chart" in refused("chart", "prediction", "wall", "--out", "chart")
-    assert refused("chart", "prediction", "wall", "--trials", "1") == "trials must be at least 2, got 1: use 30"
+    assert refused("chart", "prediction", "wall", "--trials", "1") == "trials must be from 2 to 10000, got 1: use 30"
+    assert "trials must be from 2 to 10000" in refused("chart", "prediction", "wall", "--trials", "9" * 400)

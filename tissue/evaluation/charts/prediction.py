@@ -17,6 +17,7 @@ from tissue.evaluation.charts.prediction_picture import draw_scene, draw_tasks
 from tissue.evaluation.training.evaluation import HORIZONS, forecast_errors
 from tissue.evaluation.training.fitting import fit
 from tissue.evaluation.training.recording import Recorder, Recording, trial
+from tissue.evaluation.training.train import MOST_TRIALS
 from tissue.haptics.device.device import device_parameters
 from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.predictor import Predictor
@@ -222,8 +223,8 @@ def chart_prediction(
     InputError
         If the folder is a file or holds another chart, there are fewer than two trials, or a scene cannot be used.
     """
-    if trials < 2:
-        raise InputError(f"trials must be at least 2, got {trials}: use 30")
+    if not 2 <= trials <= MOST_TRIALS:
+        raise InputError(f"trials must be from 2 to {MOST_TRIALS}, got {trials}: use 30")
     files = (*FILES, *(f"prediction_{scene.name}.png" for scene in scenes))
     found = []
     with owned_folder(folder, "chart", files, overwrite=overwrite):

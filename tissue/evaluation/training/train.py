@@ -14,12 +14,14 @@ from tissue.prediction.trained import VALIDATED_AT, Trained
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
 
-__all__ = ["LEAST_TRIALS", "TRIALS", "train", "validated", "with_fallback"]
+__all__ = ["LEAST_TRIALS", "MOST_TRIALS", "TRIALS", "train", "validated", "with_fallback"]
 
 TRIALS = 12
 """Runs of a scene by default, four a group of hands."""
 LEAST_TRIALS = 6
 """Fewest runs: one of them validates."""
+MOST_TRIALS = 10_000
+"""Most runs: a hundred times what the shipped predictors needed would take days, and is taken for a slip."""
 HELD_OUT = 4
 """One run in so many validates; the others train."""
 
@@ -34,8 +36,8 @@ def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progr
     InputError
         If there are too few trials or the scene cannot be run.
     """
-    if trials < LEAST_TRIALS:
-        raise InputError(f"trials must be at least {LEAST_TRIALS}, got {trials}: use {TRIALS}")
+    if not LEAST_TRIALS <= trials <= MOST_TRIALS:
+        raise InputError(f"trials must be from {LEAST_TRIALS} to {MOST_TRIALS}, got {trials}: use {TRIALS}")
     recorder, runs = Recorder(cores=cores), []
     for index in range(trials):
         progress(f"running trial {index + 1} of {trials}", index / (trials + 2))
