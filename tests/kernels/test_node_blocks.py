@@ -74,7 +74,7 @@ class Grid:
         count = len(self.free)
         rows, start = put(np.arange(count), wp.int32), put(self.start, wp.int32)
         made = [
-            wp.zeros(len(self.column), dtype=wp.mat33d, device="cpu"),
+            put(np.full((len(self.column), 3, 3), 7.0), wp.mat33d),  # of an earlier assembly
             wp.zeros(count, dtype=wp.mat33d, device="cpu"),
         ]
         single = wp.zeros(len(self.column), dtype=wp.mat33f, device="cpu")
