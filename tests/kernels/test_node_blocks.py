@@ -72,9 +72,9 @@ class Grid:
         split = self.cells.reshape(-1, 8, 3, 8, 3).transpose(0, 1, 3, 2, 4)
         packed = np.stack([split[:, a, b] for a, b in combinations_with_replacement(range(8), 2)], axis=1)
         count = len(self.free)
-        rows, start = put(np.arange(count), wp.int32), put(self.start, wp.int32)
+        rows, start = put(np.arange(count)[::-1], wp.int32), put(self.start, wp.int32)  # in any order
         made = [
-            wp.zeros(len(self.column), dtype=wp.mat33d, device="cpu"),
+            put(np.full((len(self.column), 3, 3), 7.0), wp.mat33d),  # of an earlier assembly
             wp.zeros(count, dtype=wp.mat33d, device="cpu"),
         ]
         single = wp.zeros(len(self.column), dtype=wp.mat33f, device="cpu")

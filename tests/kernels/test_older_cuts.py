@@ -84,6 +84,14 @@ def slot_and_plunge():
     return model
 
 
+def stored_at(store, voxel):
+    """Row and column of voxels, shape (n, 3), in the arrays of the store."""
+    rows = store.brick_of.numpy()[tuple((voxel >> 3).T)]
+    inner = voxel & 7
+    column = ((inner[:, 0] >> 1) * 16 + (inner[:, 1] >> 1) * 4 + (inner[:, 2] >> 1)) * 8
+    return rows, column + (inner[:, 0] & 1) * 4 + (inner[:, 1] & 1) * 2 + (inner[:, 2] & 1)
+
+
 def test_points_of_a_slot_are_taken_and_points_outside_are_not():
     model = slot_and_plunge()
     store, volume = model.store, model.store.volume
@@ -98,10 +106,7 @@ def test_points_of_a_slot_are_taken_and_points_outside_are_not():
     gap = np.linalg.norm(points_m - centre - np.outer(along, [1.0, 0.0, 0.0]), axis=1) - RADIUS
     points = (points_m - volume.origin_m) / SPACING
     voxel = np.floor(points).astype(int)
-    rows = store.brick_of.numpy()[tuple((voxel >> 3).T)]
-    inner = voxel & 7
-    column = ((inner[:, 0] >> 1) * 16 + (inner[:, 1] >> 1) * 4 + (inner[:, 2] >> 1)) * 8
-    column += (inner[:, 0] & 1) * 4 + (inner[:, 1] & 1) * 2 + (inner[:, 2] & 1)
+    rows, column = stored_at(store, voxel)
     pose = np.zeros((4, 6))
     pose[0, :3], pose[0, 5] = (tip - volume.origin_m) / SPACING, 1.0
     taken = wp.zeros(len(points), dtype=wp.int32, device="cpu")
@@ -152,3 +157,51 @@ def test_a_parabola_lies_below_its_interpolation_by_its_bend(bend):
     wp.launch(evaluate_bend, dim=len(parts), inputs=inputs, outputs=[out], device="cpu")
     assert wanted.min() >= 0.0
     assert out.numpy() == pytest.approx(np.zeros(50) if bend == float(EDGE_BEND) else wanted, abs=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_older_cut_between_voxel_centres_is_interpolated(axis):
+    """An older cut 0.2 voxels deeper than the tool at every other voxel, and 1.8 short of it at those between.
+
+    Between a deeper voxel and the next one the sign changes after a tenth of the way: before it the bone is taken.
+    """
+    model = slot_and_plunge()
+    store, volume = model.store, model.store.volume
+    tip = CORNERS_M[-1]
+    centre = (np.add(tip, [0.0, 0.0, RADIUS]) - volume.origin_m) / SPACING
+    grid = np.array(list(np.ndindex(volume.shape)))
+    near = np.abs(np.linalg.norm(grid + 0.5 - centre, axis=1) - RADIUS / SPACING) < 3.0
+    grid = grid[near]
+    difference = np.where(grid[:, axis] % 2 == 1, -0.2, 1.8)
+    kept = np.linalg.norm(grid + 0.5 - centre, axis=1) - RADIUS / SPACING + difference
+    older = np.full(store.older.shape, 65535, dtype=np.uint16)
+    rows, columns = stored_at(store, grid)
+    stored = rows >= 0
+    older[rows[stored], columns[stored]] = (32768.5 + 4096.0 * kept[stored]).astype(np.uint16)
+    out = np.random.default_rng(5).normal(size=(20000, 3))
+    out /= np.linalg.norm(out, axis=1)[:, None]
+    points = centre + RADIUS / SPACING * out
+    part = (points[:, axis] - 0.5) % 2.0 - 1.0  # from an odd voxel's centre on towards the next one
+    inside = ((points > 2.0) & (points < np.array(volume.shape) - 2.0)).all(axis=1) & (
+        points[:, 2] < 15.0
+    )  # bricks are stored up to voxel 15
+    inside &= np.linalg.norm(np.floor(points) + 0.5 - centre, axis=1) - RADIUS / SPACING > -0.65  # else surely taken
+    chosen = inside & (((part > 0.02) & (part < 0.075)) | ((part > 0.125) & (part < 0.2)))
+    points, out, part = points[chosen], out[chosen], part[chosen]
+    rows, columns = stored_at(store, np.floor(points).astype(int))
+    there = rows >= 0
+    points, out, part, rows, columns = points[there], out[there], part[there], rows[there], columns[there]
+    pose = np.zeros((4, 6))
+    pose[0, :3], pose[0, 5] = (tip - volume.origin_m) / SPACING, 1.0
+    taken = wp.zeros(len(points), dtype=wp.int32, device="cpu")
+    inputs = [
+        model.carver.tool, wp.array(pose, dtype=wp.float64, device="cpu"), wp.vec3(0.0, 0.0, 0.0), store.brick_of,
+        wp.array(older, dtype=wp.uint16, device="cpu"), wp.array(points, dtype=wp.vec3, device="cpu"),
+        wp.array(out, dtype=wp.vec3, device="cpu"), SPACING / RADIUS / 3.0,
+        wp.array(np.column_stack([rows, columns]), dtype=wp.int32, device="cpu"),
+    ]  # fmt: skip
+    seen = wp.zeros((len(points) // 100 + 1, SLOTS + 1), dtype=corner8f, device="cpu")
+    wp.launch(ask, dim=len(points), inputs=inputs, outputs=[seen, taken], device="cpu")
+    wanted = part < 0.1
+    assert 50 < wanted.sum() < len(wanted) - 50
+    assert (taken.numpy().astype(bool) == wanted).mean() > 0.99

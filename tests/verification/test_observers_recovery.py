@@ -212,3 +212,14 @@ def test_identical_forces_carry_no_information():
 def test_what_makes_no_sense_is_refused(call, sentence):
     with pytest.raises(InputError, match=sentence):
         call()
+
+
+def test_comparisons_stay_below_the_device_s_limit_in_steps_of_one_ratio():
+    """Of all steps those are left out, and only those, whose larger force the device cannot play."""
+    bases, steps = comparisons((0.5, 2.0), force_limit_N=2.2)
+    every = comparisons((0.5, 2.0), force_limit_N=100.0)
+    assert (bases + steps <= 2.2).all() and len(bases) < len(every[0])
+    fits = every[0] + every[1] <= 2.2
+    assert bases.tolist() == every[0][fits].tolist() and steps.tolist() == every[1][fits].tolist()
+    ratios = every[1][:-1][every[0][:-1] == every[0][1:]] / every[1][1:][every[0][:-1] == every[0][1:]]
+    assert np.ptp(ratios) < 1e-12 and every[1][0] / every[1][len(every[1]) // 2] == pytest.approx(0.7 / 2.2, rel=0.1)

@@ -123,7 +123,7 @@ class SceneFit:
         return tuple(found)
 
     def _state(self, name: str) -> str:
-        """What the log says of a constant, whether or not that agrees with its cited range."""
+        """State of a constant by its contraction, whether or not the value agrees with its cited range."""
         if name in self.identified.determined:
             return "determined"
         return "at its prior" if name in self.identified.at_prior else "narrowed"

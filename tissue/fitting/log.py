@@ -20,6 +20,9 @@ __all__ = ["MeasuredLog", "read_log"]
 
 GREATEST = {"N": 1e5, "Nm": 1e4}
 """Loads beyond which a log is in another unit [N, N m]."""
+FARTHEST_M = 10.0
+"""Distance of the tool from the scene's origin beyond which its position is in another unit or damaged [m]: carving
+along such a jump would not end."""
 GAP = 5.0
 """Time between two samples, in medians, that is a gap."""
 SHORTEST_S = 0.5
@@ -125,6 +128,11 @@ def _checked(path: Path, taken: dict[str, Array], found: LogColumns, notes: list
         )
     if not np.isfinite(tips_m).all():
         raise InputError(f"measured must hold finite positions, got one that is not in {path.name}: leave its row out")
+    if (farthest := float(np.abs(tips_m).max())) >= FARTHEST_M:
+        raise InputError(
+            f"measured must hold positions within {FARTHEST_M:g} m of the scene's origin, got {farthest:.3g} m in "
+            f"{path.name}: leave damaged rows out, or give the unit, --column tool_x_mm=COLUMN:um for example"
+        )
     for name, values in zip(channels, loads.T, strict=True):
         most = GREATEST[name.rpartition("_")[2]]
         if (greatest := float(np.nanmax(np.abs(values), initial=0.0))) >= most:

@@ -39,9 +39,9 @@ def require_signs(forward: Forward, log: MeasuredLoads) -> None:
         names = ", ".join(wrong)
         is_one = len(wrong) == 1
         raise InputError(
-            f"measured has {names} with {'its sign' if is_one else 'their signs'} reversed: the scene explains "
-            f"{'it' if is_one else 'them'} better that way. Loads must act on the tool, in the scene's frame: reverse "
-            f"the sign with --column {wrong[0]}=-COLUMN{'' if is_one else ' and so on'}, or leave the column out"
+            f"measured has {names} with {'its sign' if is_one else 'their signs'} reversed. With the opposite sign the "
+            f"scene explains {'it' if is_one else 'them'} better. Loads must act on the tool, in the scene's frame: "
+            f"reverse the sign with --column {wrong[0]}=-COLUMN{'' if is_one else ' and so on'}, or drop the column"
         )
 
 

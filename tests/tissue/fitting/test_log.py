@@ -151,3 +151,11 @@ def test_means_over_blocks_keep_the_mean_and_fold_no_tone():
     found = block_averages(times_s, np.column_stack([3.0 + tone, times_s]), ("force_x_N", "force_y_N"), 5)
     assert found.values[:, 0] == pytest.approx(3.0, abs=1e-12)
     assert found.values[:, 1] == pytest.approx(found.times_s, abs=1e-12)
+
+
+def test_a_tool_a_thousand_kilometres_away_is_refused(table, tmp_path):
+    """Carving along such a jump took hours."""
+    table.rows[50:, 3] = 1e9
+    write_table(table, tmp_path / "log.csv")
+    with pytest.raises(InputError, match=r"within 10 m of the scene's origin, got 1e\+06 m"):
+        read_log(tmp_path / "log.csv")
