@@ -35,10 +35,10 @@ def cut_along(
 ) -> Cut:
     """Cut along poses; see `tissue.api.bone.Bone.cut`."""
     tips, turns = poses.tips_m, poses.rotations
+    motion = GivenPoses(poses.times_s, tips, turns)
     boxes = tool_boxes(tool, tips, turns.as_matrix()[:, :, 2], spacing_m=bone.store.grid.spacing_m)
     model, goes_on = bone.under(tool, boxes, (tips[0], turns[0].as_matrix()), shell_spacing_m=shell_spacing_m)
     before = model.removed_m3
-    motion = GivenPoses(poses.times_s, tips, turns)
     parts = Parts(motion, model, cutter=tool, keep_clear=keep_clear)
     loop = Loop(parts, ticks=len(tips), output=Output(low_pass_ms=0.0))
     model.limits.restart()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from meshes.base.errors import InputError, is_file
+from meshes.base.errors import InputError, is_file, names_of_caller
 from meshes.base.text_numbers import number_in, require_distinct_columns
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue.models.tissue_model import Response, ToolMotion
@@ -22,6 +22,10 @@ RECORDINGS = (".hdf5", ".h5")
 """Ends of the names of recordings."""
 
 
+FARTHEST_M = 10.0
+"""Largest distance between two poses along an axis [m]: tools in a patient move by less than a metre."""
+
+
 class GivenPoses(Motion):
     """Poses one by one, one a tick; the velocity at a pose is the difference to the pose before it.
 
@@ -33,9 +37,21 @@ class GivenPoses(Motion):
         Tip positions [m], shape (n, 3).
     turns
         Orientations, n of them.
+
+    Raises
+    ------
+    InputError
+        If two positions lie further apart than `FARTHEST_M`.
     """
 
     def __init__(self, times_s: Array, tips_m: Array, turns: Rotation) -> None:
+        extent_m = float(np.ptp(tips_m, axis=0).max())
+        if extent_m > FARTHEST_M:
+            # The carving visits all that a tool sweeps, and one damaged number would make that endless.
+            raise InputError(
+                f"poses must lie within {FARTHEST_M:g} m of each other, got {extent_m:.3g} m: "
+                "leave damaged rows out, and check the unit of the positions"
+            )
         self.duration_s = float(times_s[-1] - times_s[0])
         self._tips, self._rotations = tips_m, turns.as_matrix()
         steps = np.diff(times_s)[:, None]
@@ -108,7 +124,8 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
     if path.suffix.lower() in RECORDINGS:
         held = read_drilling(path, what="motion.file")
         _require_short(float(held.times_s[-1]), path)
-        return ReplayPoses(held.times_s, held.tips_m, held.quaternions, step_s=step_s)
+        with names_of_caller({"poses": "motion.file"}):
+            return ReplayPoses(held.times_s, held.tips_m, held.quaternions, step_s=step_s)
     try:
         with path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
@@ -136,7 +153,8 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
             f"motion.file must hold unit quaternions, got one of length {length:.4g} at {poses[wrong, 0]:g} s in "
             f"{path}: give tool_qx, tool_qy, tool_qz and tool_qw of a rotation, and 0, 0, 0, 1 for none"
         )
-    return ReplayPoses(poses[:, 0], poses[:, 1:4] * 1e-3, poses[:, 4:], step_s=step_s)
+    with names_of_caller({"poses": "motion.file"}):
+        return ReplayPoses(poses[:, 0], poses[:, 1:4] * 1e-3, poses[:, 4:], step_s=step_s)
 
 
 def _require_short(lasts_s: float, path: Path) -> None:

@@ -212,3 +212,13 @@ def test_rotations_inside_the_tick_agree_with_scipy(vector):
     assert np.linalg.norm(logarithm(wanted)) == pytest.approx(rotation.magnitude(), abs=1e-12)
     assert unit(tuple(5.0 * component for component in wanted)) == pytest.approx(wanted, abs=1e-15)
     assert unit((0.0, 0.0, 1e-7, 0.0)) is None and unit((np.inf, 0.0, 0.0, 0.0)) is None
+
+
+def test_a_position_in_another_unit_is_refused_before_anything_is_carved(tmp_path):
+    columns = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw"
+    path = tmp_path / "poses.csv"
+    path.write_text(f"{columns}\n0,0,0,1,0,0,0,1\n1,0,0,1e9,0,0,0,1\n")
+    with pytest.raises(InputError, match=r"motion\.file must lie within 10 m of each other, got 1e\+06 m"):
+        read_replay(path, step_s=STEP_S)
+    tips = np.array([[0.0, 0.0, 0.0], [9.0, 9.0, 9.0]])
+    assert GivenPoses(np.array([0.0, 1.0]), tips, Rotation.identity(2)).duration_s == 1.0
