@@ -16,7 +16,7 @@ TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
 """Parts of a scene that make the task: in another tissue or with another tool, other forces and depths are right."""
 NUMERICAL = frozenset(
     f"organ.{name}"
-    for name in ("law_method", "law_interval_ms", "law_basis_size", "law_sampling_error", "law_edge_ratio", "order",
+    for name in ("law_interval_ms", "law_edge_ratio", "order",
                  "path", "basis_size", "interval_ms")
 )  # fmt: skip
 """Keys of these parts that change the computation and not the task."""
