@@ -24,6 +24,8 @@ FORMAT = 1
 """Version of a scene's file; one that states none is of the first."""
 KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
 """What every scene that a run kept held before its file stated its version: every default."""
+REMOVED = {"organ": {"law_method": "offset", "law_basis_size": 40, "law_sampling_error": 0.02}}
+"""Keys of version 0.2 that are gone, with their defaults, by the part of a scene that held them."""
 
 
 def library_names() -> list[str]:
@@ -93,6 +95,7 @@ def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None
     written = {"format": 1} | {name: table.pop(name) for name in ("format", "tissue") if name in table}
     require_version("scene", written, FORMAT, where=path, remedy="leave format out")
     if kept:
+        _drop_removed(table)
         table = _without_defaults(table)
     for part in PARTS_WITH_FILES:
         inner = table.get(part)
@@ -181,6 +184,16 @@ def _drop(table: dict[str, object], key: str) -> None:
         inner.pop(name, None)
     else:
         table.pop(part, None)
+
+
+def _drop_removed(table: Mapping[str, object]) -> None:
+    """Drop keys that version 0.2 had and wrote, where they have the value by which they had no effect."""
+    for part, keys in REMOVED.items():
+        inner = table.get(part)
+        if isinstance(inner, dict):
+            for name, default in keys.items():
+                if inner.get(name) == default:
+                    del inner[name]
 
 
 def _without_defaults(table: dict[str, object]) -> dict[str, object]:

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 
 import tissue.scene.scene
 from tissue import InputError, Scene, load_scene, scene_names, scene_text
-from tissue.scene.load import parse_override
+from tissue.scene.load import parse_override, saved_text
 
 PARTS = [
     part
@@ -154,6 +154,19 @@ def test_a_scene_that_an_older_tissue_kept_is_read_without_its_idle_defaults(nam
     path.write_text(tomli_w.dumps(table))
     read = load_scene(path)
     assert read == scene and "hand" in table and "hand" not in read.model_fields_set
+
+
+def test_a_kept_scene_with_the_default_of_a_removed_key_is_read(tmp_path):
+    scene = load_scene("palpation", {"organ.law": "neo-hookean"})
+    text = saved_text(scene)
+    for method, is_read in (("offset", True), ("reduced", False)):
+        path = tmp_path / f"{method}.toml"
+        path.write_text(text.replace("[organ]\n", f'[organ]\nlaw_method = "{method}"\n'), "utf-8")
+        if is_read:
+            assert load_scene(path) == scene
+        else:
+            with pytest.raises(InputError, match=r"organ\.law_method"):
+                load_scene(path)
 
 
 def test_what_was_asked_for_without_effect_in_an_older_kept_scene_is_refused(tmp_path):
