@@ -20,7 +20,7 @@ PAGES = sorted(
 )
 SCRIPT = re.compile(r"python ((?:tests/bench|examples)/[\w/]+\.py)")
 TEST = re.compile(r"pytest ([^`#\n]+)")
-START_S = 15.0
+START_S = 6.0
 """How long a bench without a quick form is watched [s]: it imports, builds its first case and computes."""
 FINISH_S = 240.0
 """How long a bench in its quick form may take [s] on a loaded machine."""
