@@ -18,6 +18,7 @@ def density_volume(
     origin_mm: ArrayLike = (0.0, 0.0, 0.0),
     layer: ArrayLike | None = None,
     layer_names: tuple[str, ...] = ("bone",),
+    margin: int = 0,
 ) -> VoxelVolume:
     """Voxels that are bone throughout where the density is not 0.
 
@@ -33,6 +34,9 @@ def density_volume(
         Number of each voxel's layer, same shape; default all 0.
     layer_names
         Name of each layer.
+    margin
+        Empty voxels added on each side. Without any, the force on a cutter at bone that fills the array to its edge
+        is up to 3 % low, because the surface is interpolated between voxels on both sides of it.
 
     Raises
     ------
@@ -55,9 +59,13 @@ def density_volume(
             f"layer must have the shape {density.shape} with numbers from 0 to {len(layer_names) - 1}, got shape "
             f"{numbers.shape} with {numbers.min()} to {numbers.max()}: name every layer in layer_names"
         )
+    spacing_m = 1e-3 * require_positive("spacing_mm", spacing_mm, "use about 0.1")
+    origin_m = 1e-3 * require_vector("origin_mm", np.asarray(origin_mm, dtype=np.float64))
+    density = np.pad(density, margin)
+    numbers = np.pad(numbers, margin, mode="edge")
     return VoxelVolume(
-        1e-3 * require_vector("origin_mm", np.asarray(origin_mm, dtype=np.float64)),
-        1e-3 * require_positive("spacing_mm", spacing_mm, "use about 0.1"),
+        origin_m - margin * spacing_m,
+        spacing_m,
         np.where(density > 0.0, np.uint8(FULL), np.uint8(0)),
         np.ascontiguousarray(numbers, dtype=np.uint8),
         np.rint(density).astype(np.uint16),

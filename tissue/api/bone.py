@@ -156,7 +156,7 @@ class Bone:
         """
         require_known(options, maker="Bone.from_array")
         volume = density_volume(
-            density_kg_m3, spacing_mm=spacing_mm, origin_mm=origin_mm, layer=layer, layer_names=layer_names
+            density_kg_m3, spacing_mm=spacing_mm, origin_mm=origin_mm, layer=layer, layer_names=layer_names, margin=1
         )
         return cls(BoneSource(lambda: volume), **options)
 
