@@ -20,7 +20,7 @@ FOLDERS = {
     "compare": (("compare", "a", "b"), "compare.csv compare.png"),
     "assess": (("assess", "a", "--against", "b"), "assessment.json assessment.png"),
     "import": (("import", "ct.nrrd"), "scene.toml import.json"),
-    "fit": (("fit", "wall", "--measured", "log.csv"), "fitted.toml report.html draws.csv"),
+    "fit": (("fit", "wall", "--measured", "log.csv"), "fitted.toml report.html loads.csv"),
     "stability": (("stability", "wall"), "stability.png"),
     "atlas": (("stability", "--only", "smoothness"), "index.html smoothness.png smoothness_x.csv"),
     "chart": (("chart", "wall", "--quick"), "wall.csv wall.png frontier.png machine.txt"),

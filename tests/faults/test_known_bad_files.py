@@ -170,7 +170,7 @@ def test_a_bad_summary_is_refused(tmp_path, change, sentence):
         ("0.001,", "0.001,7,", "values a line"),
         ('"bone, hard"\n', "marrow\n", "must name a layer of the run"),
         ("time_s,", "seconds,", "must have the column time_s once"),
-        ("tool_y_mm,", "tool_x_mm,", "must have the column tool_x_mm once"),
+        ("tool_y_mm,", "tool_x_mm,", "has two columns named tool_x_mm"),
     ],
 )
 def test_a_bad_trace_is_refused_and_a_whole_one_read(tmp_path, old, new, sentence):

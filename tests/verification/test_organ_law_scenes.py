@@ -46,7 +46,7 @@ def test_a_law_runs_in_a_scene(name, law):
     leaving = np.flatnonzero(depth_mm > DEPTHS_MM[0] - 0.5)[::-1]
     up = np.interp(DEPTHS_MM, depth_mm[leaving[:60]], force_N[leaving[:60]])
     print(name, law, run.summary["law"], "up over down", (up / down).round(3), "peak", force_N.max())
-    # The ball leaves at another place than it came, up to 8 mm away, with a solve 25 ms old: 1.5 mm of its way.
+    # The ball leaves at another place than it came, up to 8 mm away, with a solve 25 ms old: 1.5 mm of its path.
     np.testing.assert_allclose(up, down, rtol=0.35)
     frame = run.parts.tissue.fields.frames[-1]
     assert np.abs(frame.points["displacement_mm"]).max() < 1.2 * depth_mm.max() + 1.0

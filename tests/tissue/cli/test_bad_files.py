@@ -183,7 +183,8 @@ POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n"
         ),
         (
             POSES + "0,0,0,1,0,0,0,0\n1,0,0,0,0,0,0,1\n",
-            "motion.file must hold unit quaternions, got a zero one in {path}: use 0, 0, 0, 1 there",
+            "motion.file must hold unit quaternions, got one of length 0 at 0 s in {path}: give tool_qx, tool_qy, tool_qz and "
+            "tool_qw of a rotation, and 0, 0, 0, 1 for none",
         ),
         (b"\xff\xfe\x00", "motion.file must be a CSV table, got other data in {path}: export it as text"),
     ],

@@ -153,7 +153,7 @@ def test_a_device_that_states_a_slower_rate_than_its_constants_is_refused():
 
 
 @pytest.mark.parametrize(("rate_Hz", "later_ms"), [(250, 1.5), (500, 0.5), (1000, 0.0), (2000, 0.0)])
-def test_a_slow_device_holds_a_force_longer_on_its_way_to_the_motor(at_rate, rate_Hz, later_ms):
+def test_a_slow_device_holds_a_force_longer_on_its_path_to_the_motor(at_rate, rate_Hz, later_ms):
     """In the mean by half of what its hold lasts longer than a tick, at any low-pass."""
     changes = {name.replace("__", "."): value for name, value in at_rate(rate_Hz, output__low_pass_ms=3.0).items()}
     usual = motor_lag_ticks(

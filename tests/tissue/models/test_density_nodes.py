@@ -33,8 +33,8 @@ def test_the_range_of_a_layer_leaves_out_others_and_voxels_without_density():
 
 
 def test_densities_beyond_the_table_count_as_its_ends():
-    """The strength table ends at 4095 kg/m3 and starts at 1: a single number beyond is one node there."""
-    assert DensityNodes.of(5000, 9000).densities_kg_m3.tolist() == [4095.0]
+    """The strength table ends at 20000 kg/m3 and starts at 1: a single number beyond is one node there."""
+    assert DensityNodes.of(25000, 30000).densities_kg_m3.tolist() == [20000.0]
     assert DensityNodes.of(0, 0).densities_kg_m3.tolist() == [1.0]
-    nodes = DensityNodes.of(900, 9000).densities_kg_m3
-    assert nodes.min() > 900.0 and 4000.0 < nodes.max() < 4095.0
+    nodes = DensityNodes.of(900, 30000).densities_kg_m3
+    assert nodes.min() > 900.0 and 19000.0 < nodes.max() < 20000.0

@@ -54,7 +54,7 @@ def test_a_file_is_never_replaced_unasked(tmp_path):
     assert path.read_text("utf-8") == before
     write_observer(observer(beta=1.9), path, overwrite=True)
     assert read_observer(path).beta == pytest.approx(1.9)
-    with pytest.raises(InputError, match="out must be a file that can be written"):
+    with pytest.raises(InputError, match="out must lie in a folder that exists"):
         write_observer(observer(), tmp_path / "no" / "folder" / "ada.json")
 
 

@@ -1,6 +1,7 @@
 """The band of a milled scene, against closed forms, reruns and its files."""
 
 import json
+from html import escape
 
 import numpy as np
 import pytest
@@ -152,9 +153,9 @@ def test_an_image_of_densities_states_the_range_of_a_factor():
 def test_a_report_shows_the_band(block, tmp_path):
     run = simulate(block, cores=1)
     run.save(tmp_path / "run", pictures=False)
-    assert band_section(SavedRun(tmp_path / "run")) == ""
+    assert band_section(SavedRun(tmp_path / "run"), escape) == ""
     peak = run.band(16, cores=1).summary["force_N"]["peak"]
-    text = band_section(SavedRun(tmp_path / "run"))
+    text = band_section(SavedRun(tmp_path / "run"), escape)
     assert f"{peak['p05']:.3g} to {peak['p95']:.3g}" in text
     assert {path.name for path in (tmp_path / "run/pictures").iterdir()} == {"band.png", "band_sobol.png"}
     assert text.count("data:image/png;base64,") == 2

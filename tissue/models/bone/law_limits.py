@@ -131,7 +131,7 @@ class LawLimits:
         if self._smooth is not None:
             self._smooth.record()
 
-    def watch(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
+    def check(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
         """Check one answer; `is_new` where the tool or the bone have changed since the last."""
         if motion.speed_m_s == 0.0:
             return

@@ -189,7 +189,7 @@ class BoneModel:
         response, speed = self._response, motion.speed_m_s
         response.engaged_m2[:] = sums[AREA:]
         response.removal_rate_m3_s = float(sums[RATE]) * speed
-        self.limits.watch(motion, float(np.add.reduce(response.engaged_m2)), is_new=is_new)
+        self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=is_new)
         if speed == 0.0 and any(motion.push.tolist()):
             np.negative(motion.push, out=response.wrench)
             return response

@@ -177,7 +177,7 @@ class LawOffset:
         if first and self.indefinite:
             self.notices.append(
                 "the tangent stiffness of organ.law is not positive definite: only the tool keeps the tissue from "
-                "giving way. It was replaced by a stiffer one; check the force here against a finer mesh"
+                "yielding. It was replaced by a stiffer one; check the force here against a finer mesh"
             )
         if residual > TOLERANCE and self.unsettled == 1:
             self.notices.append(
