@@ -163,7 +163,7 @@ def test_a_parabola_lies_below_its_interpolation_by_its_bend(bend):
 def test_an_older_cut_between_voxel_centres_is_interpolated(axis):
     """An older cut 0.2 voxels deeper than the tool at every other voxel, and 1.8 short of it at those between.
 
-    Between a deeper voxel and the next one the sign changes after a tenth of the way: before it the bone is taken.
+    Between a deeper voxel and the next one the sign changes after a tenth of the distance: before it the bone is taken.
     """
     model = slot_and_plunge()
     store, volume = model.store, model.store.volume
