@@ -48,12 +48,13 @@ def _require_coefficients(cutting: object) -> Mapping[str, float]:
             f"cutting must be a mapping of coefficients, got {type(cutting).__name__}: give "
             '{"tangential_chip_N_mm2": 150}'
         )
+    checked = dict(cutting)
     for name, value in cutting.items():
         for ending, (low, high) in BOUNDS.items():
             if str(name).endswith(ending):
-                require_range(f"cutting[{name}]", value, low, high, "leave it out for the cited value")
+                checked[name] = require_range(f"cutting[{name}]", value, low, high, "leave it out for the cited value")
                 break
-    return cutting
+    return checked
 
 
 def cut_as(

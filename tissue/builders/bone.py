@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from kernels.bricks import FULL
 from meshes.base.arrays import Array
+from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.materials.cutting import CuttingCoefficients
@@ -176,6 +177,10 @@ def tool_boxes(cutter: Cutter, tips_m: Array, axes: Array, *, spacing_m: float, 
     return tips_m + np.minimum(*ends) - aside, tips_m + np.maximum(*ends) + aside
 
 
+MOST_ELEMENTS = 1_000_000
+"""Most elements of a cutter: about 1 GB, and a tenth of a second for each pose on one core."""
+
+
 def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> float:
     """Distance of a cutter's elements at which they give the force of a cut within a tolerance [m].
 
@@ -185,7 +190,19 @@ def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> fl
         Depth of the cut [m].
     tolerance
         Relative error of the force.
+
+    Raises
+    ------
+    InputError
+        If the cutter would have more than `MOST_ELEMENTS` elements.
     """
     wanted = (SCATTER / tolerance) ** (4.0 / 3.0)
     engaged_m2 = np.pi * cutter.profile.radius_m * min(depth_m, cutter.profile.radius_m)  # half of a ball's cap
-    return float(np.sqrt(engaged_m2 / wanted))
+    spacing_m = float(np.sqrt(engaged_m2 / wanted))
+    count = cutter.cutting_area_m2 / spacing_m**2
+    if count > MOST_ELEMENTS:
+        raise InputError(
+            f"depth_mm = {1e3 * depth_m:g} with tolerance = {tolerance:g} needs {count:.2g} elements on this cutter, "
+            f"more than {MOST_ELEMENTS}. Use a larger tolerance or depth_mm."
+        )
+    return spacing_m

@@ -159,7 +159,10 @@ def require_known(stated: Iterable[str]) -> None:
     known = {field.name for field in fields(SoftMaterial)} | set(OrganOptions.__annotations__)
     unknown = [name for name in stated if name not in known]
     if unknown:
-        raise TypeError(f"Organ got an unexpected keyword argument {unknown[0]!r}: it takes {', '.join(sorted(known))}")
+        raise TypeError(
+            f"Organ got an unexpected keyword argument {unknown[0]!r}. Beyond the arguments of its maker it takes "
+            f"{', '.join(sorted(known))}."
+        )
 
 
 def material_of(stated: dict[str, Any], part_names: Sequence[str]) -> SoftMaterial:

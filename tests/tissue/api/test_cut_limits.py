@@ -166,6 +166,32 @@ def test_impossible_coefficients_are_refused(cutting):
         tissue.Bone.block((4, 4, 2), spacing_mm=0.5, cutting=cutting)
 
 
+def test_a_coefficient_written_as_text_counts_as_its_number():
+    path = tissue.feed_along([[-1, 0, -0.1], [0, 0, -0.1]], 10)
+    as_text, as_number = (
+        tissue.Bone.block((8, 4, 2), spacing_mm=0.5, cutting={"radial_edge_N_mm": value}).cut(BURR, *path).force_N
+        for value in ("4", 4.0)
+    )
+    np.testing.assert_array_equal(as_text, as_number)
+
+
+def test_more_elements_than_memory_holds_are_refused():
+    bone = tissue.Bone.block((4, 4, 2), spacing_mm=0.5)
+    with pytest.raises(tissue.InputError, match=r"depth_mm = 0\.001 with tolerance = 0\.001 needs .* elements"):
+        bone.cut(BURR, [[0, 0, 1.0], [0, 0, 0.9]], [0.0, 0.001], depth_mm=0.001, tolerance=0.001)
+
+
+def test_bone_that_fills_an_array_to_its_edge_is_cut_like_a_block():
+    """The surface lies on the outer faces of the voxels, in the array as in the block."""
+    axis = np.array([0.0, 0.8, 0.6])
+    tips, times = tissue.feed_along(np.array([[-3, 0, 2.9], [0.3, 0, 2.9]]) - 3.0 * axis, 20)
+    burr = tissue.cutters.ball_burr(diameter_mm=6, flutes=6, spin_rpm=10_000)
+    full = tissue.Bone.from_array(np.full((80, 40, 20), 1800.0), spacing_mm=0.1, origin_mm=(-4, -2, -2))
+    block = tissue.Bone.block((8, 4, 2), spacing_mm=0.1)
+    forces = [each.cut(burr, tips, times, axis=axis).force_N[-20:].mean(axis=0) for each in (full, block)]
+    assert np.linalg.norm(forces[0] - forces[1]) < 0.01 * np.linalg.norm(forces[1])
+
+
 @pytest.mark.slow
 def test_dense_material_is_cut_as_dense_as_it_is():
     """Chip and edge forces follow density to a given power, beyond 4,095 kg/m3, too."""
