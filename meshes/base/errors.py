@@ -141,7 +141,7 @@ def as_vector(value: object) -> NDArray[np.float64] | None:
     """Three finite numbers as an array; None where something else was given."""
     try:
         vector = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
     return vector if vector.shape == (3,) and np.isfinite(vector).all() else None
 
@@ -223,6 +223,8 @@ def _as_number(name: str, value: object, remedy: str) -> float:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError) as problem:
         raise InputError(f"{name} must be a number, got {value!r}: {remedy}") from problem
+    except OverflowError as problem:
+        raise InputError(f"{name} must be a number below 1e308, got {str(value)[:12]}...: {remedy}") from problem
 
 
 @contextmanager

@@ -6,6 +6,8 @@ from typing import Any
 
 __all__ = ["DEEPEST", "read_json", "read_toml", "require_shallow"]
 
+LONGEST_NUMBER = 308
+"""Most digits of a whole number; a longer one fits no float."""
 DEEPEST = 50
 """Largest number of tables and lists within each other; scenes have at most 5."""
 
@@ -39,7 +41,7 @@ def read_json(text: str | bytes) -> Any:
         If it is not valid, nested too deeply, or holds a number of thousands of digits.
     """
     try:
-        value = json.loads(text)
+        value = json.loads(text, parse_int=_whole_number)
         require_shallow(value)
     except (json.JSONDecodeError, UnicodeDecodeError):
         raise
@@ -48,6 +50,13 @@ def read_json(text: str | bytes) -> Any:
     except ValueError as error:
         raise json.JSONDecodeError(str(error).split(":")[0], "", 0) from None
     return value
+
+
+def _whole_number(text: str) -> int:
+    """Return a whole number that also fits a float."""
+    if len(text) > LONGEST_NUMBER:
+        raise ValueError(f"a number of {len(text)} digits")
+    return int(text)
 
 
 def require_shallow(value: object) -> None:

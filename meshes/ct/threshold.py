@@ -38,6 +38,10 @@ class Suggestion:
     note: str
 
 
+EQUAL = 1e-9
+"""Relative difference of two variances that count as equal: rounding of sums over up to 1e9 voxels."""
+
+
 def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> Suggestion:
     """Suggest a threshold of bone by Otsu's criterion between soft tissue and bone.
 
@@ -57,13 +61,22 @@ def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> Suggestio
 
 
 def _otsu(values: NDArray[np.float64], counts: NDArray[np.float64]) -> float:
-    """Value that parts a histogram so that the variance between the parts is greatest (Otsu 1979)."""
+    """Return the value that parts a histogram with the largest variance between the parts (Otsu 1979).
+
+    Empty bins between two parts all have that variance. The value lies in the middle between the parts.
+    """
     weight = np.cumsum(counts)
     mass = np.cumsum(counts * values)
     total, whole = weight[-1], mass[-1]
     with np.errstate(divide="ignore", invalid="ignore"):
         between = (whole * weight / total - mass) ** 2 / (weight * (total - weight))
-    return float(values[int(np.nanargmax(np.where(np.isfinite(between), between, -1.0)))])
+    between = np.where(np.isfinite(between), between, -1.0)
+    first = last = int(between.argmax())
+    while last + 2 < len(values) and between[last + 1] >= (1.0 - EQUAL) * between[first]:
+        last += 1
+    if last == first:
+        return float(values[first])
+    return float(0.5 * (values[first] + values[min(last + 1, len(values) - 1)]))
 
 
 def largest_component(mask: NDArray[np.bool_], source: str) -> tuple[NDArray[np.bool_], float]:

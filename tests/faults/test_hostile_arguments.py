@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import tissue
 from meshes.base.text_tables import DEEPEST, read_json, read_toml
 from tissue import InputError, load_scene
 from tissue.scene.load import changed
@@ -39,6 +40,28 @@ def test_a_value_that_is_nested_or_long_is_refused(refused, tmp_path, key, value
     message = refused("run", "wall", "--set", f"{key}={value}", "--out", tmp_path / "out")
     assert key in message and len(message) < 1000
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["--band", "--cores", "--seed", "--duration-s"])
+def test_an_option_of_hundreds_of_digits_is_refused(refused, tmp_path, option):
+    assert refused("run", "milling", option, DIGITS, "--out", tmp_path / "out")
+
+
+def test_arguments_of_hundreds_of_digits_are_refused():
+    number = int(DIGITS)
+    for call in (
+        lambda: tissue.Bone.block((number, 1, 1)),
+        lambda: tissue.Bone.block((4, 4, 4), spacing_mm=number),
+        lambda: tissue.cutters.ball_burr(diameter_mm=number, flutes=2, spin_rpm=10),
+    ):
+        with pytest.raises(tissue.InputError):
+            call()
+
+
+def test_a_summary_with_a_number_of_hundreds_of_digits_is_refused():
+    with pytest.raises(json.JSONDecodeError, match="a number of 400 digits"):
+        read_json(f'{{"missed_deadlines": {DIGITS}}}')
+    assert read_json('{"missed_deadlines": 12}') == {"missed_deadlines": 12}
 
 
 def test_a_key_of_thousands_of_parts_is_refused(refused, tmp_path):

@@ -34,6 +34,9 @@ from tissue.simulation.trace import Table
 
 __all__ = ["TICK_S", "RunObserver", "TakesEvents", "simulate", "tick_count"]
 
+MOST_CORES = 4096
+"""Most processor cores that may be asked for; more is taken for a slip."""
+
 
 class RunObserver(Protocol):
     """What goes along with the ticks of a run, such as a clock on the wall; what they compute does not depend on it."""
@@ -129,8 +132,8 @@ def simulate(
         unstable, or ``out`` holds another run; as `DeviceError`, if the given device fails.
     """
     report = progress or silent
-    if cores is not None and cores < 1:
-        raise InputError(f"cores must be at least 1, got {cores}: leave it out to use all")
+    if cores is not None and not 1 <= cores <= MOST_CORES:
+        raise InputError(f"cores must be from 1 to {MOST_CORES}, got {str(cores)[:12]}: leave it out to use all")
     if scene.fidelity is not None:
         raise InputError("scene must hold settings, got a demand on fidelity: choose them by tissue.simulate")
     if device is None:

@@ -54,7 +54,7 @@ from tissue.scene.load import scene_names
             "duration_s must be at least 0.001 and at most 3600, got nan: use 5",
         ),
         (("run", "milling", "--seed", "1.5"), "--seed must be a whole number, got 1.5: see `tissue run --help`"),
-        (("run", "milling", "--cores", "0"), "cores must be at least 1, got 0: leave it out to use all"),
+        (("run", "milling", "--cores", "0"), "cores must be from 1 to 4096, got 0: leave it out to use all"),
         (
             ("run", "milling", "--format", "xlsx"),
             "format must be one of parquet, npz, mat, h5, recording, got xlsx: csv is always written",

@@ -67,6 +67,17 @@ def test_a_slower_run_with_a_pause_is_no_deviation(tmp_path):
     assert "no limit was passed" in assessment_lines(found)
 
 
+def test_a_run_that_ends_early_deviates_nowhere(tmp_path):
+    """Its path lies on that of the reference as far as it goes; that it is not complete is a note."""
+    whole = reach(2.0)
+    rows = aligned_rows(whole[:400], whole)
+    assert deviation_mm(whole[:400], whole, rows).max() < GRID_MM
+    np.testing.assert_allclose(rows, np.arange(400), atol=4)
+    assert deviation_mm(whole, whole[:400], aligned_rows(whole, whole[:400])).max() == pytest.approx(
+        np.linalg.norm(whole[-1] - whole[399]), rel=0.01
+    )
+
+
 def test_alignment_never_goes_back_and_keeps_crossings_apart():
     """Up and down one line: the nearest point would be on either leg, the moment is not."""
     there = np.linspace(0.0, 10.0, 500)

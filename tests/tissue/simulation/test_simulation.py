@@ -134,5 +134,5 @@ def test_progress_names_what_is_done_and_never_falls_back():
 
 @pytest.mark.parametrize("cores", [0, -3])
 def test_fewer_than_one_core_is_refused(cores):
-    with pytest.raises(InputError, match=f"cores must be at least 1, got {cores}: leave it out to use all"):
+    with pytest.raises(InputError, match=f"cores must be from 1 to 4096, got {cores}: leave it out to use all"):
         simulate(load_scene("milling", COARSE), cores=cores)

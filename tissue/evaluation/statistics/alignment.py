@@ -14,7 +14,9 @@ POINTS = 800
 def aligned_rows(path: Array, model: Array) -> Ints:
     """Row of the model that each row of a path corresponds to, never falling (Sakoe and Chiba 1978).
 
-    The sum of distances over pairs is least among all orders of passing through both paths without going back.
+    The sum of distances over pairs is smallest among all orders of passing through both paths without going back. Both
+    start at their first points. The alignment may end before the last point of the model, because a path that is
+    right as far as it goes deviates nowhere.
 
     Parameters
     ----------
@@ -49,7 +51,8 @@ def aligned_rows(path: Array, model: Array) -> Ints:
         total[i + 1, j + 1] = cost[i, j] + before
     at = np.zeros(n)
     met = np.zeros(n)
-    i, j = n, m
+    i = n
+    j = 1 + int(np.argmin(total[n, 1:]))
     while i > 0 and j > 0:
         at[i - 1] += theirs[j - 1]
         met[i - 1] += 1
