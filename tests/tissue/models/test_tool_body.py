@@ -37,9 +37,9 @@ def test_pulp_of_a_molar():
 def test_a_pedicle_is_drilled_beside_the_canal_and_into_it():
     """On its axis the drill stays as far off as the shapes give; led across, it breaches the canal."""
     held = tissue.simulate(tissue.load_scene("pedicle", {"voxels.spacing_mm": 0.2}))
-    assert held.events == []
+    assert not [what for _, what in held.events if "canal" in what]
     assert held.summary["keep_clear"]["canal"]["least_distance_mm"] == pytest.approx(6.14, abs=0.02)
     astray = {"motion.start_mm": [5.0, 0.0, 1.0], "motion.axis": [-0.34, 0.0, 0.94], "voxels.spacing_mm": 0.2}
     breached = tissue.simulate(tissue.load_scene("pedicle", astray))
-    assert breached.events[0][1].startswith("breached canal")
+    assert any(what.startswith("breached canal") for _, what in breached.events)
     assert breached.summary["keep_clear"]["canal"]["breach_depth_mm"] > 1.0
