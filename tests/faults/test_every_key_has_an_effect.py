@@ -34,6 +34,7 @@ EXEMPT = {
     "fidelity.tick_ms": "the same",
 }
 BY_DATA = {
+    "tool.spin_rpm": "motion.feed_mm_s must leave a tooth chips thinner than",
     "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries: ",
     "materials": "materials must hold a constant that the scene rests on, got ",
 }
