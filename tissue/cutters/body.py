@@ -50,7 +50,7 @@ def _inside(profile: Profile, spacing: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class OutlineTable:
-    """Half sections of the convex parts of a tool as numbers, for `kernels.clearance.Outline`.
+    """Half sections of the convex parts of a tool as numbers, for `kernels.tool_distance.Outline`.
 
     Attributes
     ----------

@@ -66,8 +66,8 @@ class KeepClear:
     """Distance of a tool's whole body from each of some structures.
 
     The body is that of the cutter as it is simulated, peg, flank and back included; a shaft behind it is not. The
-    distance is positive where both are apart. Where they overlap it is negative: the larger of the depth of the
-    structure's surface in the tool and the depth of the tool's centre, axis and edges in the structure.
+    distance is the smallest sum, over all points of space, of the signed distances from the tool and from the
+    structure. It is the gap where both are apart. Where they overlap it is negative, and its magnitude is the depth.
 
     Parameters
     ----------
@@ -91,8 +91,8 @@ class KeepClear:
     names
         Columns of a trace: ``distance_NAME_mm``, negative inside.
     measures
-        Their values of the last tick, shape (structures,). A value lies below the true distance by at most 0.001 mm and
-        the slack of the structure, and never above it.
+        Their values of the last tick [mm], shape (structures,). A value never lies above the true distance. It lies
+        below by at most the slack of the structure and 0.001 mm where both are apart, 0.01 mm where they overlap.
     notices
         What has happened, a sentence each; the loop takes them out as it logs them.
     """
