@@ -1,11 +1,13 @@
 """Signed distance between a tool of revolution and a closed triangle surface.
 
 A branch-and-bound search over a tree of boxes, then over halves of triangles, finds the smallest distance from the tool
-over the surface to `TOLERANCE_M`. Where the two overlap, points of the tool show how deep it lies in the structure.
+over the surface to `TOLERANCE_M`. Where the two overlap, `kernels.structure_depth` adds the tool's depth in the
+structure.
 """
 
 import warp as wp
 
+from kernels.structure_depth import MedialAxis, first_ball_inside, over_balls
 from kernels.tool_distance import TOLERANCE_M, Outline, bounds_over, distance_to_part
 
 __all__ = ["NODES", "TRIANGLES", "Tree", "distance_to_structure"]
@@ -16,7 +18,6 @@ NODES, TRIANGLES = wp.constant(256), wp.constant(256)
 """Rows of the stacks of nodes and of triangles."""
 MOST_EVALUATIONS = wp.constant(20000)
 """Evaluations after which a search ends with a coarser lower bound, so that a tick ends."""
-FAR_M = wp.constant(wp.float64(1.0e3))
 LEAF = wp.constant(4)
 
 
@@ -175,18 +176,6 @@ def over_surface(
     return wp.min(smallest - TOLERANCE_M, left)
 
 
-@wp.func
-def signed_depth(mesh: wp.uint64, motion: wp.array2d(dtype=wp.float64), point: wp.vec3d):
-    """Signed distance from the structure [m] of a point in the tool's frame, negative inside."""
-    x = motion[0, 0] + motion[1, 0] * point[0] + motion[2, 0] * point[1] + motion[3, 0] * point[2]
-    y = motion[0, 1] + motion[1, 1] * point[0] + motion[2, 1] * point[1] + motion[3, 1] * point[2]
-    z = motion[0, 2] + motion[1, 2] * point[0] + motion[2, 2] * point[1] + motion[3, 2] * point[2]
-    at = wp.vec3(float(x), float(y), float(z))
-    query = wp.mesh_query_point_sign_winding_number(mesh, at, float(FAR_M))
-    found = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
-    return wp.float64(query.sign * wp.length(found - at))
-
-
 @wp.kernel
 def distance_to_structure(
     first_thread: int,
@@ -194,32 +183,21 @@ def distance_to_structure(
     tree: Tree,
     mesh: wp.uint64,
     motion: wp.array2d(dtype=wp.float64),  # rows: tip [m]; tool axes x, y, z, in the structure's frame
-    inner: wp.array(dtype=wp.vec4d),  # points inside the tool and their depth in it [m]
-    path: wp.array(dtype=wp.float64),  # by how much the distance can change from the first point to each [m]
-    inner_slack: wp.float64,  # by how much these points may underestimate a depth [m]
+    medial: MedialAxis,
     # scratch
     last_leaf: wp.array(dtype=wp.int32),
     nodes: wp.array(dtype=wp.int32),
     node_bounds: wp.array(dtype=wp.float64),
     stack: wp.array2d(dtype=wp.vec3d),
     bounds: wp.array(dtype=wp.float64),
+    last_segment: wp.array(dtype=wp.int32),
+    cells: wp.array2d(dtype=wp.float64),
     # out
     distance_out: wp.array(dtype=wp.float64),  # [m], negative where tool and structure overlap
 ):
     """Lower bound of the distance between tool and structure, run by one thread."""
     smallest = over_surface(outline, tree, motion, last_leaf, nodes, node_bounds, stack, bounds)
-    depth = inner[0][3]
-    overlap = signed_depth(mesh, motion, wp.vec3d(inner[0][0], inner[0][1], inner[0][2])) - depth
-    if smallest < wp.float64(0.0) or overlap < -depth:
-        # The surfaces meet, or the whole tool is inside: see how deep the tool's own points lie in the structure.
-        deepest = wp.min(overlap, smallest)
-        last = int(0)
-        value = overlap
-        for j in range(1, inner.shape[0]):
-            if path[j] - path[last] >= value - deepest:
-                point = inner[j]
-                value = signed_depth(mesh, motion, wp.vec3d(point[0], point[1], point[2])) - point[3]
-                deepest = wp.min(deepest, value)
-                last = j
-        smallest = wp.min(smallest, deepest - inner_slack)
+    if smallest < wp.float64(0.0) or first_ball_inside(mesh, motion, medial):
+        # The surfaces meet, or the whole tool is inside: see how deep the tool's own balls lie in the structure.
+        smallest = over_balls(mesh, motion, medial, smallest, last_segment, cells)
     distance_out[0] = smallest

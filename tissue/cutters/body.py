@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, cos, pi, sqrt
+from math import ceil, cos, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +11,10 @@ from meshes.base.arrays import Array
 from tissue.cutters.cutter import spiral
 from tissue.cutters.profile import Arc, Line, Piece, Profile
 
-__all__ = ["InnerPoints", "OutlineTable", "body_points", "inner_points", "outline_table"]
+__all__ = ["OutlineTable", "body_points", "convex_parts", "outline_table"]
 
 ON_SURFACE, INSIDE = 3000, 1000
 """About as many points on the surface and in the inside at most."""
-SAGITTA_M = 2e-6
-"""A ring of edge points lies inside the true edge by at most this [m]."""
-ALONG_AXIS = 6
-"""Inner points along the axis over the tool's radius."""
 CONVEX = 1e-9
 
 
@@ -53,50 +49,8 @@ def _inside(profile: Profile, spacing: float) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, eq=False)
-class InnerPoints:
-    """Points of a tool that show how deep it lies in a structure.
-
-    A ball needs its centre alone. Other tools need the rings at which their outline bends, and their axis.
-
-    Attributes
-    ----------
-    points
-        Position and depth below the tool's surface [m], shape (n, 4); the first lies deepest.
-    path_m
-        Bound of the change of the overlap from the first point along the order of the points [m], shape (n,).
-    slack_m
-        By how much an edge between two points can lie farther out [m].
-    """
-
-    points: Array
-    path_m: Array
-    slack_m: float
-
-
-def inner_points(profile: Profile) -> InnerPoints:
-    """Compute the inner points of a tool."""
-    low, high = profile.height_range_m
-    if len(profile.pieces) == 1:  # a ball
-        return InnerPoints(np.array([[0.0, 0.0, 0.5 * (low + high), 0.5 * (high - low)]]), np.zeros(1), 0.0)
-    count = max(ceil((high - low) * ALONG_AXIS / profile.radius_m), 2)
-    axis = np.column_stack([np.zeros((count + 1, 2)), np.linspace(low, high, count + 1)])
-    parts = [axis]
-    for radius, height in profile.edges.tolist():
-        step = sqrt(8.0 * SAGITTA_M / max(radius, SAGITTA_M))
-        parts.append(_ring(radius, height, max(ceil(2.0 * pi / step), 1)))
-    points = np.concatenate(parts)
-    half = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
-    depth = np.maximum(-profile.distance(half)[0], 0.0)
-    deepest = int(depth.argmax())
-    points, depth = (np.concatenate([values[deepest : deepest + 1], values]) for values in (points, depth))
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1) + np.abs(np.diff(depth))
-    path = np.concatenate([[0.0], np.cumsum(steps)])
-    return InnerPoints(np.column_stack([points, depth]), path, SAGITTA_M)
-
-
-@dataclass(frozen=True, eq=False)
 class OutlineTable:
-    """Half sections of the convex parts of a tool as numbers, for `kernels.clearance.Outline`.
+    """Half sections of the convex parts of a tool as numbers, for `kernels.tool_distance.Outline`.
 
     Attributes
     ----------
@@ -119,7 +73,7 @@ class OutlineTable:
 
 def outline_table(profile: Profile) -> OutlineTable:
     """Split a tool into convex parts, a peg apart from what it guides, and write their outlines as numbers."""
-    parts = _parts(profile)
+    parts = convex_parts(profile)
     rows = [_row(piece) for part in parts for piece in part]
     first = np.cumsum([0, *map(len, parts)])
     convex = [_is_convex(part) for part in parts]
@@ -140,8 +94,8 @@ def _row(piece: Piece) -> list[float]:
     return [*piece.start, *along.tolist(), piece.length_m, *([0.0] * 5)]
 
 
-def _parts(profile: Profile) -> list[tuple[Piece, ...]]:
-    """Outlines of which the tool is the union; a peg reaches through the tool to its top."""
+def convex_parts(profile: Profile) -> list[tuple[Piece, ...]]:
+    """Split a tool into convex outlines of which it is the union; a peg reaches through the tool to its top."""
     pieces = profile.pieces
     first = next((k for k, piece in enumerate(pieces) if piece.cutting), 0)
     if profile.convex or first == 0:

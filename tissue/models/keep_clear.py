@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror
+from kernels.structure_depth import CELL_COLUMNS, CELLS, MedialAxis
 from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_structure
 from kernels.tool_distance import Outline
 from meshes.base.arrays import Array
 from meshes.surfaces.box_tree import BoxTree, box_tree, cut_long
-from tissue.cutters.body import inner_points, outline_table
+from tissue.cutters.body import outline_table
+from tissue.cutters.medial import MEDIAL_TOLERANCE_M, medial_axis
 from tissue.cutters.profile import Profile
 from tissue.models.tissue_model import TICK_S, ToolMotion
 
@@ -64,8 +66,8 @@ class KeepClear:
     """Distance of a tool's whole body from each of some structures.
 
     The body is that of the cutter as it is simulated, peg, flank and back included; a shaft behind it is not. The
-    distance is positive where both are apart. Where they overlap it is negative: the larger of the depth of the
-    structure's surface in the tool and the depth of the tool's centre, axis and edges in the structure.
+    distance is the smallest sum, over all points of space, of the signed distances from the tool and from the
+    structure. It is the gap where both are apart. Where they overlap it is negative, and its magnitude is the depth.
 
     Parameters
     ----------
@@ -89,8 +91,8 @@ class KeepClear:
     names
         Columns of a trace: ``distance_NAME_mm``, negative inside.
     measures
-        Their values of the last tick, shape (structures,). A value lies below the true distance by at most 0.001 mm and
-        the slack of the structure, and never above it.
+        Their values of the last tick [mm], shape (structures,). A value never lies above the true distance. It lies
+        below by at most the slack of the structure and 0.001 mm where both are apart, 0.01 mm where they overlap.
     notices
         What has happened, a sentence each; the loop takes them out as it logs them.
     """
@@ -112,8 +114,8 @@ class KeepClear:
         self.measures, self.notices = np.zeros(len(structures)), list[str]()
         self._breaches = [_Breach(name) for name in structures]
         self._tick = 0
-        outline = _outline(profile)
-        self._structures = [_Search(outline, profile, each, box_m) for each in structures.values()]
+        outline, medial = _outline(profile), _medial(profile)
+        self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
         """Measure at a tool's pose; `placed` before the first tick."""
@@ -175,7 +177,7 @@ class KeepClear:
 class _Search:
     """Search for the distance between a tool and one structure, with all its memory."""
 
-    def __init__(self, outline: Any, profile: Profile, structure: Structure, box_m: Array | None) -> None:
+    def __init__(self, outline: Any, medial: Any, structure: Structure, box_m: Array | None) -> None:
         # Coordinates lie along the structure's principal axes, where boxes around its triangles are small. They are
         # counted from its middle: the sign is found in single precision.
         vertices = structure.vertices_m
@@ -193,7 +195,6 @@ class _Search:
             indices=wp.array(structure.faces.ravel(), dtype=wp.int32, device=DEVICE),
             support_winding_number=True,
         )
-        inner = inner_points(profile)
         self._launch = SplitLaunch(
             distance_to_structure,
             dim=1,
@@ -203,14 +204,14 @@ class _Search:
                 _tree(tree),
                 self._mesh.id,
                 self._motion.device,
-                wp.array(inner.points, dtype=wp.vec4d, device=DEVICE),
-                wp.array(inner.path_m, dtype=wp.float64, device=DEVICE),
-                inner.slack_m,
+                medial,
                 wp.array([tree.first_leaf], dtype=wp.int32, device=DEVICE),
                 wp.zeros(NODES, dtype=wp.int32, device=DEVICE),
                 wp.zeros(NODES, dtype=wp.float64, device=DEVICE),
                 wp.zeros((TRIANGLES, 3), dtype=wp.vec3d, device=DEVICE),
                 wp.zeros(TRIANGLES, dtype=wp.float64, device=DEVICE),
+                wp.zeros(1, dtype=wp.int32, device=DEVICE),
+                wp.zeros((CELLS, CELL_COLUMNS), dtype=wp.float64, device=DEVICE),
             ],
             outputs=[self._distance.device],
             offset_index=0,
@@ -236,6 +237,17 @@ def _outline(profile: Profile) -> Any:
     outline.first = wp.array(table.first, dtype=wp.int32, device=DEVICE)
     outline.convex = wp.array(table.convex, dtype=wp.int32, device=DEVICE)
     return outline
+
+
+def _medial(profile: Profile) -> Any:
+    """The tool's medial axis as the kernel reads it."""
+    axis = medial_axis(profile)
+    medial: Any = MedialAxis()
+    medial.starts = wp.array(axis.starts_m, dtype=wp.vec3d, device=DEVICE)
+    medial.ends = wp.array(axis.ends_m, dtype=wp.vec3d, device=DEVICE)
+    medial.across = wp.array(axis.across, dtype=wp.int32, device=DEVICE)
+    medial.slack = MEDIAL_TOLERANCE_M
+    return medial
 
 
 def _tree(made: BoxTree) -> Any:

@@ -1,5 +1,7 @@
 """Distance between tool and structure, held to closed forms in turned and moved frames, and to a sampled brute force."""
 
+import itertools
+
 import numpy as np
 import pytest
 import trimesh
@@ -24,7 +26,10 @@ DRILL = profile.twist_drill(diameter_m=2e-3, length_m=20e-3, point_angle_rad=2.0
 def nerve(diameter_m):
     """A cylinder along z whose facets touch the round one from outside, so that they lie nowhere inside it."""
     radius = 0.5 * diameter_m / np.cos(np.pi / SECTIONS)
-    return trimesh.creation.cylinder(radius=radius, height=40e-3, sections=SECTIONS)
+    made = trimesh.creation.cylinder(radius=1e3 * radius, height=40.0, sections=SECTIONS)
+    made.apply_scale(1e-3)  # made in metres it would have no ends: trimesh drops triangles that small
+    assert made.is_watertight
+    return made
 
 
 class Frame:
@@ -97,8 +102,6 @@ def test_any_tool_and_a_small_ball(shape):
     for _ in range(60):
         at = np.array([rng.uniform(0.0, shape.radius_m + 2e-3), rng.uniform(low - 2e-3, high + 2e-3)])
         exact = float(shape.distance(at[None])[0][0]) - radius
-        if exact < -0.5 * radius:
-            continue  # a peg is measured as it goes on in the tool, so that deep inside depths are bounds
         turn, around = Rotation.random(random_state=rng.integers(1000)), rng.uniform(0.0, 2.0 * np.pi)
         centre = turn.apply([at[0] * np.cos(around), at[0] * np.sin(around), at[1]])
         require_safe(frame(-centre, turn), exact)
@@ -130,3 +133,102 @@ def test_a_shape_whose_distance_is_a_lower_bound_is_meshed_where_it_is_nearest()
     clear = KeepClear(BALL, {"disc": Structure(vertices, faces, slack)})
     clear.measure(ToolMotion(tip_m=np.array([0.0, 20e-3, -1.5e-3])))
     assert 1e3 * (20e-3 - 5e-3 - 1.5e-3) - 0.05 <= float(clear.measures[0]) <= 13.5 + ABOVE_MM
+
+
+def section_distance(corners, boxes):
+    """Signed distance [mm] from a body of revolution: its outline's corners, and (radius, low, high) of its discs."""
+    ends = np.array(corners, dtype=float)
+
+    def distance(points):
+        radius, height = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
+        nearest = np.full(len(points), np.inf)
+        for start, end in itertools.pairwise(ends):
+            along = end - start
+            share = np.clip(
+                ((radius - start[0]) * along[0] + (height - start[1]) * along[1]) / (along @ along), 0.0, 1.0
+            )
+            away = np.hypot(radius - start[0] - share * along[0], height - start[1] - share * along[1])
+            nearest = np.minimum(nearest, away)
+        inside = np.any([(radius < r) & (height > low) & (height < high) for r, low, high in boxes], axis=0)
+        return np.where(inside, -nearest, nearest)
+
+    return distance
+
+
+def cylinder_distance(points, radius, length):
+    """Signed distance [mm] from a cylinder along z."""
+    across, along = np.hypot(points[:, 0], points[:, 1]) - radius, np.abs(points[:, 2]) - 0.5 * length
+    outside = np.hypot(np.maximum(across, 0.0), np.maximum(along, 0.0))
+    return np.where((across < 0.0) & (along < 0.0), np.maximum(across, along), outside)
+
+
+def smallest_sum(total, points, rng):
+    """Smallest value over space: the best of dense points, each moved at random as long as the value falls."""
+    values = total(points)
+    best = np.argsort(values)[:60]
+    points, values, reach = points[best], values[best], 0.1
+    while reach > 1e-4:
+        ways = rng.normal(size=(12, 3))
+        tried = points[:, None] + reach * ways / np.linalg.norm(ways, axis=1)[:, None]
+        found = total(tried.reshape(-1, 3)).reshape(len(points), -1)
+        pick = found.argmin(axis=1)
+        better = found.min(axis=1) < values
+        points[better] = tried[better, pick[better]]
+        values[better] = found.min(axis=1)[better]
+        reach *= 0.9
+    return values.min()
+
+
+SMALL_MILL = profile.cylinder(diameter_m=3e-3, length_m=4e-3)
+SMALL_FLAT = profile.flat_reamer(diameter_m=6e-3, length_m=2e-3, peg_diameter_m=1.5e-3, peg_length_m=2e-3)
+MILL_SECTION = section_distance([(0, 0), (1.5, 0), (1.5, 4), (0, 4)], [(1.5, 0, 4)])
+FLAT_SECTION = section_distance([(0, -2), (0.75, -2), (0.75, 0), (3, 0), (3, 2), (0, 2)], [(3, 0, 2), (0.75, -2, 2)])
+
+
+@pytest.mark.parametrize(
+    ("shape", "section", "diameter_mm"),
+    [(SMALL_MILL, MILL_SECTION, 1.0), (SMALL_FLAT, FLAT_SECTION, 1.0), (SMALL_FLAT, FLAT_SECTION, 4.0)],
+)
+def test_depth_is_the_smallest_sum_of_both_signed_distances(shape, section, diameter_mm):
+    """Dense points of the tool, closed forms of both distances; the cylinder's end and rim are among the poses."""
+    made = nerve(1e-3 * diameter_mm)
+    frame = Frame(17, made, shape)
+    low, high = 1e3 * np.array(shape.height_range_m)
+    reach = 1e3 * shape.radius_m
+    spans = (np.arange(-reach, reach + 0.1, 0.2), np.arange(-reach, reach + 0.1, 0.2), np.arange(low, high + 0.1, 0.2))
+    lattice = np.stack(np.meshgrid(*spans, indexing="ij"), axis=-1).reshape(-1, 3)
+    for seed in range(4):
+        rng, checked = np.random.default_rng(seed), 0
+        while checked < 3:
+            turn = Rotation.random(random_state=rng.integers(1 << 30))
+            tip = rng.uniform(-3.5, 3.5, 3) + np.array([0.0, 0.0, rng.choice([0.0, 20.0])])
+
+            def total(points, turn=turn, tip=tip):
+                return cylinder_distance(points, 0.5 * diameter_mm, 40.0) + section(turn.inv().apply(points - tip))
+
+            points = turn.apply(lattice) + tip
+            if total(points).min() > -0.02:
+                continue
+            checked += 1
+            exact_mm = smallest_sum(total, points, rng)
+            require_safe(frame(1e-3 * tip, turn), 1e-3 * exact_mm)
+
+
+def test_the_rim_of_an_end_mill_in_a_thin_cylinder():
+    """Poses at which the rim, between the axis and the outline's corners, was 0.026 and 0.004 mm deeper than reported."""
+    frame = Frame(19, nerve(1e-3), SMALL_MILL)
+    axis = np.array([0.45, 0.3, 1.0])
+    to_nerve = Rotation.from_euler("x", 90, degrees=True)  # the poses have the cylinder along y
+    turn = to_nerve * Rotation.align_vectors(axis[None], [[0.0, 0.0, 1.0]])[0]
+    for tip, depth in (([0.7308, -0.2696, 0.0539], 0.4874), ([0.3533, -1.4785, 0.7586], 0.0590)):
+        found = frame(1e-3 * to_nerve.apply(tip), turn)
+        assert -found >= depth
+        assert -found <= depth + 0.25
+
+
+def test_a_face_that_lies_flat_in_a_flat_wall():
+    """Every point of the tool's bevel is as deep as every other; a search that cannot tell them apart has to end."""
+    wall = trimesh.creation.box((20e-3, 20e-3, 8e-3))
+    frame = Frame(23, wall, SMALL_MILL)
+    for depth in (0.02e-3, 0.2e-3, 0.9e-3):
+        require_safe(frame([0.0, 0.0, 4e-3 - depth]), -depth)

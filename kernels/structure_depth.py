@@ -1,0 +1,279 @@
+"""Depth of a tool of revolution in a closed triangle surface.
+
+The tool is the union of the largest balls in it. A ball whose centre lies in the structure is as deep as its radius and
+its centre's depth together. A branch-and-bound search over the centres, cells of a segment of the half section's medial
+axis and of an angle around the tool's axis, finds the deepest ball to `DEPTH_TOLERANCE_M`.
+"""
+
+import warp as wp
+
+from kernels.tool_distance import nearest_on_triangle
+
+__all__ = ["CELLS", "CELL_COLUMNS", "DEPTH_TOLERANCE_M", "MedialAxis", "first_ball_inside", "over_balls"]
+
+wp.set_module_options({"enable_backward": False})
+
+DEPTH_TOLERANCE_M = wp.constant(wp.float64(3.0e-6))
+"""A bound that lies at most this far below the smallest distance is good enough [m]."""
+CELLS = wp.constant(128)
+"""Rows of the stack of cells."""
+CELL_COLUMNS = wp.constant(6)
+MOST_QUERIES = wp.constant(20000)
+"""Closest-point queries after which a search ends with a coarser lower bound, so that a tick ends."""
+FAR_M = wp.constant(wp.float64(1.0e3))
+NEAR_M = wp.constant(wp.float64(1.0e-6))
+"""Distance from the surface below which rounding spoils the direction to it [m]."""
+OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
+"""Distance of the outer point of a bound from the surface over the size of the cell. A bound lies below the distance by
+about a 32nd of the size where the structure leaves that much room."""
+HULL = wp.constant(8)
+WIDE_RAD = wp.constant(wp.float64(1.0))
+"""Half angle from which on a cell is bounded by its size alone."""
+
+
+@wp.struct
+class MedialAxis:
+    """Segments of the medial axis, see `tissue.cutters.medial.MedialAxis`."""
+
+    starts: wp.array(dtype=wp.vec3d)  # [segment] radius and height of the centre, ball radius [m]
+    ends: wp.array(dtype=wp.vec3d)
+    across: wp.array(dtype=wp.int32)  # [segment] 1 where centres outside the structure count too
+    slack: wp.float64  # by how much the true balls may reach out of these [m]
+
+
+@wp.func
+def in_structure(motion: wp.array2d(dtype=wp.float64), radius: wp.float64, angle: wp.float64, height: wp.float64):
+    """A point of the tool, in cylindrical coordinates, in the structure's frame."""
+    point_x = radius * wp.cos(angle)
+    point_y = radius * wp.sin(angle)
+    x = motion[0, 0] + motion[1, 0] * point_x + motion[2, 0] * point_y + motion[3, 0] * height
+    y = motion[0, 1] + motion[1, 1] * point_x + motion[2, 1] * point_y + motion[3, 1] * height
+    z = motion[0, 2] + motion[1, 2] * point_x + motion[2, 2] * point_y + motion[3, 2] * height
+    return wp.vec3d(x, y, z)
+
+
+@wp.func
+def is_in_structure(mesh: wp.uint64, point: wp.vec3d):
+    """Whether a point lies in the structure."""
+    return wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(point), float(FAR_M)).sign < 0.0
+
+
+@wp.func
+def nearest_on_surface(mesh: wp.uint64, point: wp.vec3d):
+    """Distance from the surface, the nearest point of it and its triangle."""
+    at = wp.vec3(point)
+    query = wp.mesh_query_point_no_sign(mesh, at, float(FAR_M))
+    foot = wp.vec3d(wp.mesh_eval_position(mesh, query.face, query.u, query.v))
+    return wp.length(foot - point), foot, query.face
+
+
+@wp.func
+def hull_corner(
+    motion: wp.array2d(dtype=wp.float64),
+    start: wp.vec3d,
+    end: wp.vec3d,
+    angle: wp.float64,
+    half_angle: wp.float64,
+    k: int,
+):
+    """Corner `k` of a hull around a cell's centres, and its ball radius.
+
+    The hull is that of the cell's own four corners and of four on the tangents at its middle. A concave function of the
+    centre and the ball radius is smallest at one of them.
+    """
+    ball = wp.where(k < 4, start, end)
+    turned = angle + wp.where(k % 2 == 0, -half_angle, half_angle)
+    radius = ball[0]
+    if (k // 2) % 2 == 1:
+        radius /= wp.cos(half_angle)
+    return in_structure(motion, radius, turned, ball[1]), ball[2]
+
+
+@wp.func
+def first_ball_inside(mesh: wp.uint64, motion: wp.array2d(dtype=wp.float64), medial: MedialAxis):
+    """Whether the centre of the first ball lies in the structure."""
+    ball = medial.starts[0]
+    return is_in_structure(mesh, in_structure(motion, ball[0], wp.float64(0.0), ball[1]))
+
+
+@wp.func
+def cell_bounds(
+    mesh: wp.uint64,
+    motion: wp.array2d(dtype=wp.float64),
+    start: wp.vec3d,
+    end: wp.vec3d,
+    across: int,
+    angle: wp.float64,
+    half_angle: wp.float64,
+    before: wp.float64,
+    moved: wp.float64,
+    wanted: wp.float64,
+):
+    """Bounds of the distance over a cell's balls, and the signed distance of the centre of its middle from the surface.
+
+    `before` is that signed distance of a point that lies `moved` away. A lower bound above `wanted` is not improved.
+    """
+    middle = wp.float64(0.5) * (start + end)
+    centre = in_structure(motion, middle[0], angle, middle[1])
+    apart, foot, face = nearest_on_surface(mesh, centre)
+    # The sign costs far more than the distance. A sphere that the surface does not enter has one sign.
+    is_inside = before < wp.float64(0.0)
+    if wp.abs(before) <= moved + NEAR_M:
+        is_inside = is_in_structure(mesh, centre)
+    signed = wp.where(is_inside, -apart, apart)
+
+    # The farthest points of a cell from its middle are corners of it.
+    cosine = wp.cos(half_angle)
+    rise = wp.float64(0.5) * (end[1] - start[1])
+    size = wp.float64(0.0)
+    for k in range(2):
+        radius = wp.where(k == 0, start[0], end[0])
+        squared = radius * radius + middle[0] * middle[0] - wp.float64(2.0) * radius * middle[0] * cosine
+        size = wp.max(size, wp.sqrt(wp.max(squared, wp.float64(0.0)) + rise * rise))
+    largest = wp.max(start[2], end[2])
+
+    lower = -apart - size - largest
+    upper = -apart - middle[2]
+    if not is_inside:
+        upper = wp.float64(1.0e9)
+        lower = apart - size - largest
+        if across == 1:
+            upper = apart - middle[2]
+        elif apart >= size:
+            # No centre lies in the structure: the search over its surface has seen these balls.
+            return upper, upper, signed
+    if half_angle >= WIDE_RAD or lower >= wanted:
+        return lower, upper, signed
+
+    # No point of the structure is farther from the surface than from one triangle of it.
+    a = wp.vec3d(wp.mesh_get_point(mesh, face * 3 + 0))
+    b = wp.vec3d(wp.mesh_get_point(mesh, face * 3 + 1))
+    c = wp.vec3d(wp.mesh_get_point(mesh, face * 3 + 2))
+    from_triangle = wp.float64(1.0e9)
+    for k in range(HULL):
+        corner, radius = hull_corner(motion, start, end, angle, half_angle, k)
+        from_triangle = wp.min(from_triangle, -wp.length(corner - nearest_on_triangle(corner, a, b, c)) - radius)
+    lower = wp.max(lower, from_triangle)
+    if lower >= wanted:
+        return lower, upper, signed
+
+    # A signed distance falls by at most the way from a point outside. Seen from afar this bound is nearly flat along
+    # the surface.
+    normal = wp.vec3d(wp.mesh_eval_face_normal(mesh, face))
+    if apart > NEAR_M:
+        normal = (centre - foot) / signed
+    reach = OUTSIDE_SIZES * size + wp.max(signed, wp.float64(0.0))
+    outside = foot + reach * normal
+    clear, _foot, _face = nearest_on_surface(mesh, outside)
+    if is_in_structure(mesh, outside):
+        clear = -clear
+    from_outside = wp.float64(1.0e9)
+    for k in range(HULL):
+        corner, radius = hull_corner(motion, start, end, angle, half_angle, k)
+        from_outside = wp.min(from_outside, clear - wp.length(corner - outside) - radius)
+    return wp.max(lower, from_outside), upper, signed
+
+
+@wp.func
+def over_balls(
+    mesh: wp.uint64,
+    motion: wp.array2d(dtype=wp.float64),
+    medial: MedialAxis,
+    best: wp.float64,
+    last_segment: wp.array(dtype=wp.int32),
+    cells: wp.array2d(dtype=wp.float64),  # shares of the segment from and to, angle, half angle, bound, signed distance
+):
+    """Lower bound of the distance of all balls whose centre lies in the structure, and of `best` [m]."""
+    smallest = best
+    lowest = best
+    count = int(0)
+    begin = last_segment[0]
+    number = medial.starts.shape[0]
+    signed = wp.float64(0.0)
+    last_middle = wp.vec3d()
+    for turn in range(number):
+        # The segment that was deepest at the last tick prunes most of the others.
+        root = (begin + turn) % number
+        cells[0, 0] = wp.float64(0.0)
+        cells[0, 1] = wp.float64(1.0)
+        cells[0, 2] = wp.float64(0.0)
+        cells[0, 3] = wp.float64(wp.pi)
+        start = medial.starts[root]
+        along = medial.ends[root] - start
+        long = wp.sqrt(along[0] * along[0] + along[1] * along[1])
+        middle = start + wp.float64(0.5) * along
+        lower, upper, signed = cell_bounds(
+            mesh,
+            motion,
+            start,
+            start + along,
+            medial.across[root],
+            wp.float64(0.0),
+            wp.float64(wp.pi),
+            signed,
+            wp.length(middle - last_middle),
+            smallest - DEPTH_TOLERANCE_M,
+        )
+        last_middle = middle
+        cells[0, 4] = lower
+        cells[0, 5] = signed
+        count += 1
+        if upper < smallest:
+            smallest = upper
+            last_segment[0] = root
+        held = int(1)
+        while held > 0:
+            held -= 1
+            bound = cells[held, 4]
+            if bound >= smallest - DEPTH_TOLERANCE_M or count >= MOST_QUERIES or held + 2 > CELLS:
+                lowest = wp.min(lowest, bound - medial.slack)
+                continue
+            first = cells[held, 0]
+            last = cells[held, 1]
+            angle = cells[held, 2]
+            half_angle = cells[held, 3]
+            radius = wp.max(start[0] + first * along[0], start[0] + last * along[0])
+            centre = cells[held, 5]
+            split_angle = wp.float64(2.0) * radius * half_angle > (last - first) * long
+            for half in range(2):
+                row = held + half
+                cells[row, 0] = first
+                cells[row, 1] = last
+                cells[row, 2] = angle
+                cells[row, 3] = half_angle
+                moved = wp.float64(0.25) * (last - first) * long
+                if split_angle:
+                    middle_radius = start[0] + wp.float64(0.5) * (first + last) * along[0]
+                    moved = wp.float64(2.0) * middle_radius * wp.sin(wp.float64(0.25) * half_angle)
+                    cells[row, 3] = wp.float64(0.5) * half_angle
+                    cells[row, 2] = angle + wp.where(half == 0, -cells[row, 3], cells[row, 3])
+                else:
+                    share = wp.float64(0.5) * (first + last)
+                    cells[row, 0] = wp.where(half == 0, first, share)
+                    cells[row, 1] = wp.where(half == 0, share, last)
+                lower, upper, inner = cell_bounds(
+                    mesh,
+                    motion,
+                    start + cells[row, 0] * along,
+                    start + cells[row, 1] * along,
+                    medial.across[root],
+                    cells[row, 2],
+                    cells[row, 3],
+                    centre,
+                    moved,
+                    smallest - DEPTH_TOLERANCE_M,
+                )
+                cells[row, 5] = inner
+                cells[row, 4] = wp.max(lower, bound)
+                if upper < smallest:
+                    smallest = upper
+                    last_segment[0] = root
+            count += 2
+            if cells[held, 4] < cells[held + 1, 4]:
+                # The child with the lower bound comes first.
+                for column in range(CELL_COLUMNS):
+                    swapped = cells[held, column]
+                    cells[held, column] = cells[held + 1, column]
+                    cells[held + 1, column] = swapped
+            held += 2
+    return lowest

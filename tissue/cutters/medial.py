@@ -1,0 +1,149 @@
+"""Medial axis of a tool: the centres of the largest balls in it, of which the tool is the union."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from tissue.cutters.body import convex_parts
+from tissue.cutters.profile import Piece, Profile
+
+__all__ = ["MEDIAL_TOLERANCE_M", "MedialAxis", "medial_axis"]
+
+MEDIAL_TOLERANCE_M = 4e-6
+"""Most by which a ball of the true medial axis reaches out of the balls of the polylines [m]."""
+STRAIGHT_M = 1e-6
+"""Largest deviation of the polylines in the space of radius, height and ball radius [m]; a fourth of the tolerance.
+A ball reaches out by at most twice the deviation, and two steps, sampling and merging, each deviate."""
+FIRST_SAMPLES, HALVINGS = 9, 26
+"""Samples of each piece at first, and how often the intervals between them are halved at most."""
+BISECTIONS = 44
+TOUCH_M = 1e-10
+"""A ball may reach out of the outline by this [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class MedialAxis:
+    """Segments of the half section's medial axis.
+
+    Attributes
+    ----------
+    starts_m, ends_m
+        Radius, height and ball radius at both ends of each segment [m], shape (segments, 3). The ball radius is linear
+        in between.
+    across
+        1 where a ball lies in no convex part of the tool alone, as at the foot of a peg, shape (segments,).
+    """
+
+    starts_m: Array
+    ends_m: Array
+    across: NDArray[np.int32]
+
+
+def medial_axis(profile: Profile) -> MedialAxis:
+    """Compute the medial axis of a half section.
+
+    Each largest ball touches the outline. The outline is sampled, and at each sample the largest ball that touches it
+    from inside is found by bisection.
+    """
+    chains = [_chain(profile, touch) for touch in _touches(profile.pieces)]
+    starts = np.concatenate([chain[:-1] for chain in chains])
+    ends = np.concatenate([chain[1:] for chain in chains])
+    parts = [Profile(part, True) for part in convex_parts(profile)]
+    middles = 0.5 * (starts + ends)
+    across = np.zeros(len(starts), dtype=np.int32)
+    if len(parts) > 1:
+        for balls in (starts, middles, ends):
+            held = np.max([-part.distance(balls[:, :2])[0] for part in parts], axis=0)
+            across |= (held < balls[:, 2] - STRAIGHT_M).astype(np.int32)
+    return MedialAxis(starts, ends, across)
+
+
+Touch = Callable[[Array], tuple[Array, Array]]
+"""Shares in [0, 1] to points of the outline [m] and outward normals, each of shape (n, 2)."""
+
+
+def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
+    """Ways in which a ball can touch an outline from inside: each piece, and each corner that juts into the tool."""
+    touches: list[Touch] = [piece.at for piece in pieces]
+    ends = np.array([0.0, 1.0])
+    for before, after in pairwise(pieces):
+        corner = after.at(ends)[0][0]
+        first, last = before.at(ends)[1][1], after.at(ends)[1][0]
+        turn = float(np.arctan2(first[0] * last[1] - first[1] * last[0], first @ last))
+        if turn < 0.0:
+            touches.append(_fan(corner, float(np.arctan2(first[1], first[0])), turn))
+    return touches
+
+
+def _fan(corner: Array, first: float, turn: float) -> Touch:
+    """Normals between those of the two pieces that meet at a corner."""
+
+    def touch(share: Array) -> tuple[Array, Array]:
+        angle = first + share * turn
+        return np.broadcast_to(corner, (len(share), 2)), np.column_stack([np.cos(angle), np.sin(angle)])
+
+    return touch
+
+
+def _chain(profile: Profile, touch: Touch) -> Array:
+    """Polyline of ball centres and radii along one piece, shape (n, 3)."""
+    share = np.linspace(0.0, 1.0, FIRST_SAMPLES)
+    balls = _balls(profile, *touch(share))
+    is_open = np.ones(len(share) - 1, dtype=bool)
+    for _ in range(HALVINGS):
+        (where,) = np.nonzero(is_open)
+        if not len(where):
+            break
+        middle = 0.5 * (share[where] + share[where + 1])
+        between = _balls(profile, *touch(middle))
+        bent = _deviation(between, balls[where], balls[where + 1]) > STRAIGHT_M
+        is_open[where] = bent
+        share, balls = np.insert(share, where + 1, middle), np.insert(balls, where + 1, between, axis=0)
+        is_open = np.insert(is_open, where + 1, bent)
+    return balls[_merged(balls)]
+
+
+def _balls(profile: Profile, points: Array, normals: Array) -> Array:
+    """Largest balls that touch the outline from inside: radius and height of the centre, ball radius, shape (n, 3)."""
+    low, high = profile.height_range_m
+    least, most = np.zeros(len(points)), np.full(len(points), 0.5 * (high - low) + profile.radius_m)
+    for _ in range(BISECTIONS):
+        size = 0.5 * (least + most)
+        centres = points - size[:, None] * normals
+        # A centre that has left the tool is nearer to where it left, so that no sign is needed. Beyond the axis a ball
+        # is nearer to the other side of the outline.
+        nearest = np.min([piece.seen_from(centres)[0] for piece in profile.pieces], axis=0)
+        fits = (centres[:, 0] >= -TOUCH_M) & (nearest >= size - TOUCH_M)
+        least, most = np.where(fits, size, least), np.where(fits, most, size)
+    centres = points - least[:, None] * normals
+    centres[:, 0] = np.maximum(centres[:, 0], 0.0)
+    return np.column_stack([centres, least])
+
+
+def _deviation(balls: Array, starts: Array, ends: Array) -> Array:
+    """Distance of balls from segments in the space of radius, height and ball radius [m]."""
+    along = ends - starts
+    squared = np.maximum(np.einsum("ij,ij->i", along, along), 1e-30)
+    share = np.clip(np.einsum("ij,ij->i", balls - starts, along) / squared, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(balls - starts - share[:, None] * along, axis=1))
+
+
+def _merged(balls: Array) -> NDArray[np.intp]:
+    """Samples of a polyline that stands for all of them (Douglas and Peucker 1973)."""
+    kept = {0, len(balls) - 1}
+    spans = [(0, len(balls) - 1)]
+    while spans:
+        first, last = spans.pop()
+        if last - first < 2:
+            continue
+        inner = balls[first + 1 : last]
+        deviation = _deviation(inner, balls[first : first + 1], balls[last : last + 1])
+        if deviation.max() > STRAIGHT_M:
+            split = first + 1 + int(deviation.argmax())
+            kept.add(split)
+            spans += [(first, split), (split, last)]
+    return np.array(sorted(kept))
