@@ -184,20 +184,20 @@ def distance_to_structure(
     mesh: wp.uint64,
     motion: wp.array2d(dtype=wp.float64),  # rows: tip [m]; tool axes x, y, z, in the structure's frame
     medial: MedialAxis,
-    # scratch
-    last_leaf: wp.array(dtype=wp.int32),
-    nodes: wp.array(dtype=wp.int32),
-    node_bounds: wp.array(dtype=wp.float64),
-    stack: wp.array2d(dtype=wp.vec3d),
-    bounds: wp.array(dtype=wp.float64),
-    last_segment: wp.array(dtype=wp.int32),
-    cells: wp.array2d(dtype=wp.float64),
+    # scratch, of which nothing is read afterwards
+    last_leaf_out: wp.array(dtype=wp.int32),
+    nodes_out: wp.array(dtype=wp.int32),
+    node_bounds_out: wp.array(dtype=wp.float64),
+    stack_out: wp.array2d(dtype=wp.vec3d),
+    bounds_out: wp.array(dtype=wp.float64),
+    last_segment_out: wp.array(dtype=wp.int32),
+    cells_out: wp.array2d(dtype=wp.float64),
     # out
     distance_out: wp.array(dtype=wp.float64),  # [m], negative where tool and structure overlap
 ):
     """Lower bound of the distance between tool and structure, run by one thread."""
-    smallest = over_surface(outline, tree, motion, last_leaf, nodes, node_bounds, stack, bounds)
+    smallest = over_surface(outline, tree, motion, last_leaf_out, nodes_out, node_bounds_out, stack_out, bounds_out)
     if smallest < wp.float64(0.0) or first_ball_inside(mesh, motion, medial):
         # The surfaces meet, or the whole tool is inside: see how deep the tool's own balls lie in the structure.
-        smallest = over_balls(mesh, motion, medial, smallest, last_segment, cells)
+        smallest = over_balls(mesh, motion, medial, smallest, last_segment_out, cells_out)
     distance_out[0] = smallest

@@ -120,6 +120,21 @@ def test_heat_is_accounted_for_and_removed_cells_are_empty():
     assert heat.field.rise_K.max() == pytest.approx(heat.field.rise_K[:, :, centres[2] > -depth - 2e-4].max())
 
 
+def test_heat_of_a_bur_that_stands_at_the_end_comes_in_where_it_touches(monkeypatch):
+    heat = plunged(0.1)
+    points = np.array([[0.0, 0.0, -FEED_M_S * 0.1], [2e-4, 0.0, -FEED_M_S * 0.1]])
+    normals = np.tile([0.0, 0.0, -1.0], (2, 1))
+    monkeypatch.setattr(heat, "_engaged", SimpleNamespace(cutting=lambda motion: (points, normals, np.zeros(2))))
+    before = heat.balance_J
+    motion = ToolMotion(tip_m=points[0].copy(), rotation=np.eye(3))
+    for _ in range(2):  # the second interval begins and ends at rest
+        heat.begin(1e-3, 0.02, motion, heat._milling.store.take_touched())
+        heat.finish()
+    after = heat.balance_J
+    parts = sum(after[name] - before[name] for name in after if name != "cutting")
+    assert parts == pytest.approx(2e-3, rel=1e-5)
+
+
 @pytest.mark.slow
 def test_heat_does_not_depend_on_the_frame():
     """Moved by metres and turned by right angles; carving lags by up to 0.02 mm, by the place of a brick in the world."""

@@ -90,6 +90,18 @@ def ready(there, nodes):
     return bool((there._slot[nodes] >= 0).all())
 
 
+def test_a_node_asked_for_again_while_it_is_found_is_kept_once():
+    """The thread has taken it off the list and is at work when the next tick asks for the same nodes."""
+    there = lazy(SURFACE)
+    there.want(np.arange(len(SURFACE)))
+    node = there._next()
+    there.want(np.arange(len(SURFACE)))
+    there._find(node)
+    there.fill()
+    assert ready(there, np.arange(len(SURFACE)))
+    assert len(there._used) == len(set(there._slot.tolist())) == len(SURFACE)
+
+
 def test_columns_on_demand_are_poured_one_node_at_a_time_into_a_matrix_of_all():
     there, whole = lazy(SURFACE), surface_compliance_m_N(body_of(), SURFACE)
     matrix = np.full((3 * len(SURFACE),) * 2, np.nan)

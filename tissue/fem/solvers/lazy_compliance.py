@@ -162,6 +162,8 @@ class LazyCompliance:
         unknowns = 3 * self._touchable[node] + np.arange(3)
         columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)
         with self._changed:
+            if self._slot[node] >= 0:
+                return  # found in the meantime: it was asked for again while it was being found
             if not self._spare and node not in self._wanted:
                 return  # the tool has moved on
             if not self._spare:

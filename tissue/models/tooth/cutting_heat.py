@@ -177,7 +177,10 @@ class CuttingHeat:
             cells = candidates[first, np.arange(len(points_m))]
             for at in np.flatnonzero(filled[cells] <= 0.0):
                 cells[at] = self._nearest(points_m[at])
-            power += np.bincount(cells, weights * (self._power_W / weights.sum()), minlength=len(power))
+            total = float(weights.sum())
+            # A bur that stands at the end of an interval has no power there: its heat enters along all that it touches.
+            shares = weights / total if total > 0.0 else np.full(len(weights), 1.0 / len(weights))
+            power += np.bincount(cells, self._power_W * shares, minlength=len(power))
             # Half the temperature difference across the material of the cell, for a flux that passes all of it.
             warmer[cells] = 0.5 * power[cells] * filled[cells] / (self._conductivity[cells] * self._cell_m)
             np.maximum.at(warmer, candidates[0], warmer[cells])
