@@ -46,7 +46,7 @@ def test_a_scene_works_with_the_commands_of_runs(command, tmp_path, scene):
 
 @pytest.mark.parametrize("scene", scene_names())
 def test_a_scene_can_be_charted(command, tmp_path, scene, monkeypatch):
-    monkeypatch.setattr(measure, "EXCERPT_S", {True: 0.03, False: 0.03})
+    monkeypatch.setattr(measure, "EXCERPT_S", {True: 0.2, False: 0.2})
     out = finished(command, "chart", scene, "--quick", "--out", tmp_path / "charts")
     assert scene in out
     assert (tmp_path / "charts" / f"{scene}.csv").read_text("utf-8").count("\n") >= 2
