@@ -51,14 +51,15 @@ def aligned_rows(path: Array, model: Array) -> Ints:
         total[i + 1, j + 1] = cost[i, j] + before
     at = np.zeros(n)
     met = np.zeros(n)
-    i = n
-    j = 1 + int(np.argmin(total[n, 1:]))
-    while i > 0 and j > 0:
-        at[i - 1] += theirs[j - 1]
-        met[i - 1] += 1
-        steps = (total[i - 1, j - 1], total[i - 1, j], total[i, j - 1])
+    row = n
+    column = 1 + int(np.argmin(total[n, 1:]))
+    while row > 0 and column > 0:
+        at[row - 1] += theirs[column - 1]
+        met[row - 1] += 1
+        steps = (total[row - 1, column - 1], total[row - 1, column], total[row, column - 1])
         back = int(np.argmin(steps))
-        i, j = i - (back != 2), j - (back != 1)
+        row -= int(back != 2)
+        column -= int(back != 1)
     return np.interp(np.arange(len(path)), ours, at / met).round().astype(np.int64)
 
 
