@@ -25,7 +25,7 @@ NEAR_M = wp.constant(wp.float64(1.0e-6))
 """Distance from the surface below which rounding spoils the direction to it [m]."""
 OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
 """Distance of the outer point of a bound from the surface over the size of the cell. A bound lies below the distance by
-about a 32nd of the size where the structure leaves that much room."""
+about a 32nd of the size where the structure leaves that much space."""
 HULL = wp.constant(8)
 WIDE_RAD = wp.constant(wp.float64(1.0))
 """Half angle from which on a cell is bounded by its size alone."""
@@ -157,7 +157,7 @@ def cell_bounds(
     if lower >= wanted:
         return lower, upper, signed
 
-    # A signed distance falls by at most the way from a point outside. Seen from afar this bound is nearly flat along
+    # A signed distance falls by at most the path from a point outside. Seen from afar this bound is nearly flat along
     # the surface.
     normal = wp.vec3d(wp.mesh_eval_face_normal(mesh, face))
     if apart > NEAR_M:

@@ -168,8 +168,8 @@ def smallest_sum(total, points, rng):
     best = np.argsort(values)[:60]
     points, values, reach = points[best], values[best], 0.1
     while reach > 1e-4:
-        ways = rng.normal(size=(12, 3))
-        tried = points[:, None] + reach * ways / np.linalg.norm(ways, axis=1)[:, None]
+        directions = rng.normal(size=(12, 3))
+        tried = points[:, None] + reach * directions / np.linalg.norm(directions, axis=1)[:, None]
         found = total(tried.reshape(-1, 3)).reshape(len(points), -1)
         pick = found.argmin(axis=1)
         better = found.min(axis=1) < values
@@ -227,7 +227,7 @@ def test_the_rim_of_an_end_mill_in_a_thin_cylinder():
 
 
 def test_a_face_that_lies_flat_in_a_flat_wall():
-    """Every point of the tool's bevel is as deep as every other; a search that cannot tell them apart has to end."""
+    """Every point of the tool's bevel is as deep as every other; a search that cannot separate them has to end."""
     wall = trimesh.creation.box((20e-3, 20e-3, 8e-3))
     frame = Frame(23, wall, SMALL_MILL)
     for depth in (0.02e-3, 0.2e-3, 0.9e-3):
