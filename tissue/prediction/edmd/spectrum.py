@@ -1,5 +1,7 @@
 """Eigenvalues of an operator, and the cap that keeps its powers from growing."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from meshes.base.arrays import Array
@@ -37,7 +39,11 @@ def cap_spectrum(matrix: Array, limit: float = 1.0) -> tuple[Array, int]:
     if spectral_radius(matrix) <= limit:
         return matrix, 0
     try:
-        triangle, basis, _ = schur(matrix, output="real", sort=lambda re, im: re**2 + im**2 <= limit**2)
+        # SciPy prints an error of its own when a stop is raised in its callback. Python raises stops in the main thread
+        # alone, so that the callback runs in another one.
+        with ThreadPoolExecutor(1) as pool:
+            ordered = pool.submit(schur, matrix, output="real", sort=lambda re, im: re**2 + im**2 <= limit**2)
+            triangle, basis, _ = ordered.result()
     except np.linalg.LinAlgError:
         # Eigenvalues too close to the limit to be put in order: the unordered form has the same capped spectrum.
         triangle, basis = schur(matrix, output="real")
