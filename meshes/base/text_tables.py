@@ -1,6 +1,7 @@
 """Read TOML and JSON texts and refuse those that are nested too deeply."""
 
 import json
+import math
 import tomllib
 from typing import Any
 
@@ -38,7 +39,7 @@ def read_json(text: str | bytes) -> Any:
     Raises
     ------
     json.JSONDecodeError
-        If it is not valid, nested too deeply, or holds a number of thousands of digits.
+        If it is not valid or nested too deeply.
     """
     try:
         value = json.loads(text, parse_int=_whole_number)
@@ -52,10 +53,10 @@ def read_json(text: str | bytes) -> Any:
     return value
 
 
-def _whole_number(text: str) -> int:
-    """Return a whole number that also fits a float."""
+def _whole_number(text: str) -> int | float:
+    """Return a whole number, and infinity for one that fits no float, as JSON's 1e400 gives."""
     if len(text) > LONGEST_NUMBER:
-        raise ValueError(f"a number of {len(text)} digits")
+        return -math.inf if text.startswith("-") else math.inf
     return int(text)
 
 
