@@ -54,7 +54,7 @@ def in_structure(motion: wp.array2d(dtype=wp.float64), radius: wp.float64, angle
 
 @wp.func
 def is_in_structure(mesh: wp.uint64, point: wp.vec3d):
-    """Whether a point lies in the structure."""
+    """Return whether a point lies in the structure."""
     return wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(point), float(FAR_M)).sign < 0.0
 
 
@@ -91,7 +91,7 @@ def hull_corner(
 
 @wp.func
 def first_ball_inside(mesh: wp.uint64, motion: wp.array2d(dtype=wp.float64), medial: MedialAxis):
-    """Whether the centre of the first ball lies in the structure."""
+    """Return whether the centre of the first ball lies in the structure."""
     ball = medial.starts[0]
     return is_in_structure(mesh, in_structure(motion, ball[0], wp.float64(0.0), ball[1]))
 

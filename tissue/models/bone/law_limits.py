@@ -88,7 +88,7 @@ class SmoothSurface:
 
     @property
     def is_blocked(self) -> bool:
-        """Whether so much of the surface is pushed into bone that a force is missing."""
+        """Return whether so much of the surface is pushed into bone that a force is missing."""
         self._launch()
         self._sums.pull()
         return float(self._sums.host[:, AREA:].sum()) > self.blocked_m2
