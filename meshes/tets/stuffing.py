@@ -176,10 +176,16 @@ def _snapped(
     chosen, first = np.unique(node[nearest], return_index=True)
     moved, value = nodes.copy(), value.copy()
     moved[chosen] = point[nearest[first]]
-    # Moves that together spoil a cell are taken back, with all that share the cell.
+    # Of the moves that together spoil a cell the longest is taken back: a node left near the surface makes slivers.
+    moved_by = np.linalg.norm(moved - nodes, axis=1)
     touched = cells[np.isin(cells, chosen).any(axis=1)]
-    while len(back := np.intersect1d(touched[mean_ratio(moved, touched) < _LEAST_QUALITY], chosen)):
+    while len(spoiled := touched[mean_ratio(moved, touched) < _LEAST_QUALITY]):
+        far = np.take_along_axis(spoiled, moved_by[spoiled].argmax(axis=1)[:, None], axis=1)[:, 0]
+        back = far[moved_by[far] > 0.0]
+        if len(back) == 0:
+            break
         moved[back] = nodes[back]
+        moved_by[back] = 0.0
         chosen = np.setdiff1d(chosen, back)
     value[chosen] = 0.0
     return moved, value

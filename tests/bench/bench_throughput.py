@@ -74,7 +74,7 @@ def main() -> None:
         return
     from harness import machine, table
 
-    checkouts = [given.against.resolve()] * (given.against is not None) + [ROOT]
+    checkouts = [ROOT] if given.against is None else [given.against.resolve(), ROOT]
     print(machine())
     columns = ["before"] * (given.against is not None) + ["now"]
     head = ("task", *(f"{each}: processor a trial, trials x methods a second" for each in columns), "ratio", "rows")

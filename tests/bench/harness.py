@@ -83,9 +83,9 @@ def table(rows: list[tuple[str, ...]], head: tuple[str, ...]) -> str:
 
 
 def memory_bytes(solver) -> int:
-    """Memory of a solver: of a factor 12 bytes an entry, of multigrid the matrices of all levels."""
+    """Memory of a solver: of a factor 8 bytes an entry, of multigrid the matrices of all levels."""
     if hasattr(solver, "_factor"):
-        return 12 * int(solver._factor.nnz)
+        return 8 * int(solver._factor.entries)
     levels = solver._hierarchy.levels
     matrices = [part for level in levels for name in "APR" if (part := getattr(level, name, None)) is not None]
     return sum(m.data.nbytes + m.indices.nbytes + m.indptr.nbytes for m in matrices)

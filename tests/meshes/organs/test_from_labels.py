@@ -67,7 +67,8 @@ def test_tetrahedra_have_the_volume_of_the_voxels_and_a_ball_its_own(spacing):
     away = np.linalg.norm(1e3 * mesh.nodes_m[inner.surface_nodes] @ turn - (10.0, 4.0, 3.0), axis=1) - 9.0
     assert np.abs(away).max() < 0.6 * max(spacing) + 0.3  # chords of 6 mm on a ball of 9 mm lie 0.5 mm deep
     quality = mean_ratio(mesh.nodes_m, mesh.cells)
-    assert quality.min() > 0.01 and np.quantile(quality, 0.01) > 0.19  # 0.197 to above 0.25, by machine and mesher
+    assert quality.min() > 0.1  # 0.155 to 0.28 over six seeds; slivers begin at 0.1
+    assert np.quantile(quality, 0.01) > 0.3  # 0.41 to 0.49
     assert notes["tumour"].startswith("3.") and "edges of at most" in notes["tumour"]
 
 

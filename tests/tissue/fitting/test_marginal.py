@@ -103,6 +103,5 @@ def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
             straight = log_density_at(target, maximum + step * np.eye(target.size)[at], at)[0] - top
             if along > -NEGLIGIBLE:
                 assert straight == pytest.approx(along, abs=0.1)
-                assert along > -0.5 * 2.0**2 - 3.0
                 compared += 1
     assert compared >= 10
