@@ -1,0 +1,79 @@
+"""Check that traces are bit for bit the recorded ones: `python tests/bench/golden.py [--record]`.
+
+Runs the nine built-in scenes as shipped, and two of them by hand, and compares a hash of each trace
+column with `golden.json`. Hashes hold for one machine, because libraries round differently on
+others: record them there before a change, then compare after it.
+"""
+
+import argparse
+import csv
+import hashlib
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from harness import machine
+
+RECORDED = Path(__file__).with_suffix(".json")
+SCENES = (
+    "caries",
+    "glenoid",
+    "liver-press",
+    "milling",
+    "molar",
+    "needle",
+    "palpation",
+    "pedicle",
+    "wall",
+)
+CASES = {name: [name] for name in SCENES} | {
+    "milling by hand": ["milling", "--set", "device=touch", "--duration-s", "2"],
+    "palpation by hand": ["palpation", "--set", "device=touch", "--duration-s", "2"],
+}
+
+
+def column_hashes(arguments: list[str]) -> dict[str, str]:
+    """Run a scene and return a hash of each trace column."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "run"
+        command = [sys.executable, "-m", "tissue", "run", *arguments, "--no-pictures"]
+        subprocess.run(
+            [*command, "--out", str(out)], check=True, capture_output=True, cwd=RECORDED.parents[2]
+        )
+        with (out / "trace.csv").open(newline="", encoding="utf-8") as file:
+            header, *rows = csv.reader(file)
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+    return {
+        name: hashlib.sha256("\n".join(cells).encode()).hexdigest()[:16]
+        for name, cells in columns.items()
+    }
+
+
+def main() -> None:
+    """Record the hashes, or report the columns that differ from the recorded ones."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--record", action="store_true", help="write golden.json anew")
+    parser.add_argument("--only", nargs="+", default=list(CASES), choices=list(CASES))
+    chosen = parser.parse_args()
+    found = {case: column_hashes(CASES[case]) for case in chosen.only}
+    if chosen.record:
+        recorded = {"machine": machine(), "hashes": found}
+        RECORDED.write_text(json.dumps(recorded, indent=1) + "\n", encoding="utf-8")
+        return
+    recorded = json.loads(RECORDED.read_text("utf-8"))
+    print(f"recorded on {recorded['machine']}")
+    differing = 0
+    for case, hashes in found.items():
+        before = recorded["hashes"][case]
+        names = sorted(
+            name for name in before.keys() | hashes.keys() if before.get(name) != hashes.get(name)
+        )
+        differing += bool(names)
+        print(f"{case}: {'the same' if not names else 'differs in ' + ', '.join(names)}")
+    sys.exit(1 if differing else 0)
+
+
+if __name__ == "__main__":
+    main()
