@@ -15,13 +15,14 @@ import numpy as np
 from harness import cost_of, machine, table
 from scipy.special import ndtri
 
-from tissue.evaluation.calibration.force_discrimination import (
+from tissue.evaluation.calibration.observers import (
+    SimulatedObservers,
     Stimulus,
     calibrated_commands,
+    draw_observers,
     gain_of,
     share_right,
 )
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons

@@ -6,7 +6,7 @@ from scipy.special import ndtri
 from scipy.stats import chisquare, kstest, t
 
 from meshes.base.errors import InputError
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
+from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
 from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
 from tissue.perception.magnitude import (
     MAGNITUDE_FORCES_N,

@@ -6,11 +6,16 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.evaluation.calibration.force_discrimination import Stimulus, calibrated_commands, gain_of
-from tissue.evaluation.calibration.force_discrimination import share_right as shares_right
-from tissue.evaluation.calibration.run_session import Answer, simulated_answers
+from tissue.evaluation.calibration.answers import Answer, simulated_answers
+from tissue.evaluation.calibration.observers import (
+    SimulatedObservers,
+    Stimulus,
+    calibrated_commands,
+    draw_observers,
+    gain_of,
+)
+from tissue.evaluation.calibration.observers import share_right as shares_right
 from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
 from tissue.evaluation.calibration.trial_log import TrialLog
 from tissue.evaluation.statistics.hypothesis_test import Effect
 from tissue.perception.adaptive import AdaptiveThreshold

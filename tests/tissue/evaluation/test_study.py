@@ -12,9 +12,8 @@ import pytest
 from meshes.base.errors import InputError
 from tissue.evaluation.study import runner
 from tissue.evaluation.study.folder import StudyFolder
-from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.plan import METHODS, TASKS, Plan, TrialKey
 from tissue.evaluation.study.runner import run_study
-from tissue.evaluation.study.tasks import METHODS, TASKS
 from tissue.evaluation.study.trial import Trial, run_trial, trial_seed
 from tissue.scene.registry import GROUPS
 

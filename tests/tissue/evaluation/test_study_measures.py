@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissue import load_scene
-from tissue.evaluation.study import measures
+from tissue.evaluation.study import trial as measures
 from tissue.perception.population import reference_observer
 from tissue.scene.load import changed
 

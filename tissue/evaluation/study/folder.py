@@ -14,8 +14,8 @@ from meshes.base.file_version import package_version, require_version
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import claim, whole_file
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.plan import Plan, TrialKey
-from tissue.evaluation.study.registered import (
+from tissue.evaluation.study.plan import TASKS, Plan, TrialKey
+from tissue.evaluation.study.registration import (
     PLAN_FILE,
     Registration,
     code_sha256,
@@ -24,7 +24,6 @@ from tissue.evaluation.study.registered import (
     registered,
     require_unchanged,
 )
-from tissue.evaluation.study.tasks import TASKS
 from tissue.evaluation.study.trial import Row, Trial
 from tissue.system.outputs import LOCK
 from tissue.system.owned_folder import MARKER, OwnedFolder, require_listed

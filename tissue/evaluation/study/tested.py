@@ -15,22 +15,11 @@ from tissue.evaluation.statistics.power import redrawn_power
 from tissue.evaluation.statistics.regression import trial_regression
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.statistics.tukey import corrected
-from tissue.evaluation.study.paper import COMPOSITE
-from tissue.evaluation.study.plan import USERS
-from tissue.evaluation.study.section import Section, drawing, image, methods_of, tasks_of
+from tissue.evaluation.study.plan import COMPARED, DIRECTIONS, USERS
+from tissue.evaluation.study.section import COMPOSITE, Section, drawing, image, methods_of, tasks_of
 
-__all__ = ["DIRECTIONS", "composite_section", "power_section", "regression_section", "tests_sections"]
+__all__ = ["composite_section", "power_section", "regression_section", "tests_sections"]
 
-COMPARED = ("force_error", "ratio_error", "position_error_mm")
-"""Metrics that are tested, one by one and together."""
-DIRECTIONS = {
-    "force_error": -1,
-    "ratio_error": -1,
-    "position_error_mm": -1,
-    "acceleration_change_m_s2": -1,
-    "time_s": -1,
-}
-"""Metrics of the composite index and their directions."""
 LOOSE = 0.06
 """False alarms of a test at 5 %, above which it is reported that it finds too much."""
 
