@@ -6,15 +6,24 @@ from scipy import stats
 from scipy.stats import studentized_range
 from simulated_cells import simulated_cells, simulated_power
 
-from tissue.evaluation.statistics.components import Components
-from tissue.evaluation.statistics.manova import multivariate, pillai
-from tissue.evaluation.statistics.mixed import mixed_model
-from tissue.evaluation.statistics.normality import mardia, normal_residuals
+from tissue.evaluation.statistics.comparison import corrected, tukey_groups, tukey_levels
+from tissue.evaluation.statistics.hypothesis_test import mardia, normal_residuals
+from tissue.evaluation.statistics.manova import multivariate
+from tissue.evaluation.statistics.mixed import Components, mixed_model
 from tissue.evaluation.statistics.power import TESTS, redrawn_power
-from tissue.evaluation.statistics.robust import hotelling, kruskal_wallis, permutation, welch
-from tissue.evaluation.statistics.strata import mauchly, scores_of, strata
+from tissue.evaluation.statistics.strata import (
+    hotelling,
+    kruskal_wallis,
+    mauchly,
+    permutation,
+    pillai,
+    scores_of,
+    shuffled_p,
+    shuffled_users,
+    strata,
+    welch,
+)
 from tissue.evaluation.statistics.trials import Cells, TrialTable
-from tissue.evaluation.statistics.tukey import corrected, tukey_groups, tukey_levels
 
 ALPHA = 0.05
 OFF = 0.01
@@ -76,7 +85,7 @@ def test_manova_alarms_at_the_stated_level(between):
     mix = rng.normal(size=(4, 4))
     groups = np.repeat([0, 1, 2], USERS)
     scores = rng.normal(size=(10_000, len(groups), 4)) @ mix
-    alarms = np.mean(pillai(scores, groups, between=between)[1] < ALPHA)
+    alarms = np.mean(pillai(scores, groups, between=between).p < ALPHA)
     print(f"null data, MANOVA of {'groups' if between else 'methods'}: {100 * alarms:.1f} % rejected at 5 %")
     assert alarms == pytest.approx(ALPHA, abs=OFF)
 
@@ -88,7 +97,7 @@ def test_tukey_alarms_once_in_twenty_families():
     below = 3 * (USERS - 1)
     assert np.mean(ranges > studentized_range.ppf(0.95, 3, below)) == pytest.approx(ALPHA, abs=OFF)
     one = tukey_groups(list(means[0]), "abc", metric="m")
-    assert max(each.statistic for each in one) == pytest.approx(ranges[0], rel=1e-12)
+    assert min(each.p for each in one) == pytest.approx(studentized_range.sf(ranges[0], 3, below), rel=1e-6)
     within = strata(values, groups, (4,), (0,), between=False)
     spread = np.ptp(values.mean(axis=1), axis=1) / np.sqrt(within.error_square / (3 * USERS))
     assert np.mean(spread > studentized_range.ppf(0.95, 4, within.degrees[1])) == pytest.approx(ALPHA, abs=OFF)
@@ -159,17 +168,12 @@ def test_permuted_pillai_alarms_at_the_stated_level(between):
     alarms = []
     for _ in range(4000):
         scores = rng.laplace(size=(18, 2))
-        measured, _ = pillai(scores, groups, between=between)
-        if between:
-            others = scores[rng.permuted(np.tile(np.arange(18), (99, 1)), axis=1)]
-        else:
-            others = scores * rng.choice([-1.0, 1.0], (99, 18, 1))
-        alarms.append(
-            (1 + (pillai(others, groups, between=between)[0] >= measured * (1.0 - 1e-12)).sum()) / 100 <= ALPHA
-        )
+        measured = float(pillai(scores, groups, between=between).trace)
+        others = shuffled_users(scores, 99, rng) if between else scores * rng.choice([-1.0, 1.0], (99, 18, 1))
+        alarms.append(shuffled_p(measured, pillai(others, groups, between=between).trace) <= ALPHA)
     assert np.mean(alarms) == pytest.approx(ALPHA, abs=OFF)
     message = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=999)
-    assert message.alternatives[0].statistic == pytest.approx(float(measured), rel=1e-9)
+    assert message.alternatives[0].statistic == pytest.approx(measured, rel=1e-9)
 
 
 @pytest.mark.slow

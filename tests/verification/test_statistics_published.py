@@ -4,15 +4,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tissue.evaluation.statistics.comparison import compare
-from tissue.evaluation.statistics.effects import cohens_d, partial_eta_squared
-from tissue.evaluation.statistics.manova import multivariate, pillai
+from tissue.evaluation.statistics.comparison import compare, corrected, tukey_groups, tukey_levels
+from tissue.evaluation.statistics.hypothesis_test import cohens_d, mardia, normal_residuals, partial_eta_squared
+from tissue.evaluation.statistics.manova import multivariate
 from tissue.evaluation.statistics.mixed import mixed_model
-from tissue.evaluation.statistics.normality import mardia, normal_residuals
-from tissue.evaluation.statistics.robust import friedman, hotelling, kruskal_wallis, permutation, welch
-from tissue.evaluation.statistics.strata import mauchly, scores_of, strata
+from tissue.evaluation.statistics.strata import (
+    friedman,
+    hotelling,
+    kruskal_wallis,
+    mauchly,
+    permutation,
+    pillai,
+    scores_of,
+    strata,
+    welch,
+)
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.statistics.tukey import corrected, tukey_groups, tukey_levels
 
 pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
 MACHINES = np.array(
@@ -135,9 +142,9 @@ def test_manova_of_skulls():
         each = next(each for each in (found, *found.alternatives) if each.test.startswith(f"MANOVA, {name}"))
         assert each.test.endswith(f"{value:.4g}")
         assert each.statistic == pytest.approx(statistic, abs=0.005)
-    value, p = pillai(SKULLS, PLACE, between=True)
-    assert float(value) == pytest.approx(0.44702843, abs=1e-8)
-    assert float(p) == pytest.approx(found.p, rel=1e-9)
+    ours = pillai(SKULLS, PLACE, between=True)
+    assert float(ours.trace) == pytest.approx(0.44702843, abs=1e-8)
+    assert float(ours.p) == pytest.approx(found.p, rel=1e-9)
 
 
 @pytest.mark.parametrize("between", [True, False], ids=["groups", "mean"])
@@ -145,20 +152,22 @@ def test_manova_of_skulls():
 def test_pillai_is_that_of_statsmodels(between, width):
     rng = np.random.default_rng(width)
     scores, groups = rng.normal(0.3, 1.0, (24, width)), np.repeat([0, 1, 2], [9, 8, 7])
-    found = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=99) if width > 1 else None
-    trace, p = pillai(scores, groups, between=between)
-    if found is not None:
-        assert found.p == pytest.approx(float(p), rel=1e-8)
-        assert found.test == f"MANOVA, Pillai's trace {float(trace):.4g}"
-    else:
-        exact = strata(scores, groups, (1,), between=True) if between else None
-        assert exact is None or float(p) == pytest.approx(float(exact.p), rel=1e-9)
+    ours = pillai(scores, groups, between=between)
+    if width > 1:
+        found = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=99)
+        assert found.p == pytest.approx(float(ours.p), rel=1e-8)
+        assert found.test == f"MANOVA, Pillai's trace {float(ours.trace):.4g}"
+    elif between:
+        assert float(ours.p) == pytest.approx(float(strata(scores, groups, (1,), between=True).p), rel=1e-9)
 
 
-def test_hotelling_is_the_multivariate_test_of_the_mean():
-    rng = np.random.default_rng(3)
-    scores, groups = rng.normal(0.3, 1.0, (20, 3)), np.repeat([0, 1], [12, 8])
-    assert hotelling(scores, groups, question="?").p == pytest.approx(float(pillai(scores, groups, between=False)[1]))
+def test_hotelling_is_that_of_statsmodels():
+    from statsmodels.stats.multivariate import test_mvmean as of_the_mean
+
+    scores = np.random.default_rng(3).normal(0.3, 1.0, (20, 3))
+    ours = hotelling(scores, np.zeros(20, dtype=int), question="?")
+    theirs = of_the_mean(scores, np.zeros(3))
+    assert (ours.statistic, ours.p) == pytest.approx((theirs.statistic, theirs.pvalue), rel=1e-9)
 
 
 def test_tukey_of_plants():

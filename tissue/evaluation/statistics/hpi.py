@@ -8,7 +8,7 @@ import numpy as np
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics.hypothesis_test import LEVEL, Assumption, Effect
-from tissue.evaluation.statistics.resampling import drawn_users
+from tissue.evaluation.statistics.power import drawn_users
 from tissue.evaluation.statistics.trials import TrialTable
 
 __all__ = ["Index", "composite_index", "weights_of"]

@@ -8,11 +8,10 @@ from scipy.stats import binomtest
 
 from meshes.base.arrays import Array, Ints
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, LEVEL, Effect
-from tissue.evaluation.statistics.resampling import drawn_users
 from tissue.evaluation.statistics.strata import group_means, strata
 from tissue.evaluation.statistics.trials import Cells
 
-__all__ = ["Power", "redrawn_power", "rejection_rates"]
+__all__ = ["Power", "drawn_users", "redrawn_power", "rejection_rates"]
 
 POPULATIONS = 10_000
 """Enough for an error rate of 5 % to be known to 0.4 %."""
@@ -48,6 +47,25 @@ class Power:
             f"{self.test}: with {self.users_per_group} users a group, false alarms {_percent(self.false_alarms)}, "
             f"power {_percent(self.hits)} in {self.populations} populations."
         )
+
+
+def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
+    """Users drawn with replacement, as many in each group as it has, in the order of groups.
+
+    Parameters
+    ----------
+    groups
+        Group of every user, 0 to G - 1, shape (users,).
+    count
+        Number of populations.
+
+    Returns
+    -------
+    Ints
+        Indices of users, shape (count, users).
+    """
+    members = (np.flatnonzero(groups == group) for group in range(int(groups.max()) + 1))
+    return np.concatenate([each[rng.integers(len(each), size=(count, len(each)))] for each in members], axis=1)
 
 
 def redrawn_power(cells: Cells, *, rng: np.random.Generator, populations: int = POPULATIONS) -> tuple[Power, ...]:
