@@ -14,6 +14,7 @@ from time import perf_counter
 import numpy as np
 from harness import cost_of, machine, table
 from scipy.special import ndtri
+from staircase import Staircase
 
 from tissue.evaluation.calibration.observers import (
     SimulatedObservers,
@@ -26,9 +27,7 @@ from tissue.evaluation.calibration.observers import (
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
-from tissue.perception.psychometric import D_PRIME_75, two_interval
-from tissue.perception.staircase import Staircase
-from tissue.perception.weber import weber
+from tissue.perception.laws import D_PRIME_75, two_interval, weber
 from tissue.scene.registry import GROUPS
 from tissue.simulation.trace import Table
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from staircase import Staircase
 
 from meshes.base.errors import InputError
 from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
-from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime, two_interval, with_lapse
-from tissue.perception.staircase import Staircase
+from tissue.perception.laws import D_PRIME_75, correct_of_d_prime, two_interval, with_lapse
 from tissue.scene.registry import GROUPS
 
 

@@ -19,7 +19,7 @@ from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, S
 from tissue.evaluation.calibration.trial_log import TrialLog
 from tissue.evaluation.statistics.hypothesis_test import Effect
 from tissue.perception.adaptive import AdaptiveThreshold
-from tissue.perception.population import reference_observer
+from tissue.perception.observer import reference_observer
 
 __all__ = [
     "Answer", "Comparison", "Effect", "Magnitude", "Plan", "Session", "SimulatedObservers", "alike", "change_percent",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.perception.psychometric import D_PRIME_75
+from tissue.perception.laws import D_PRIME_75
 
 if TYPE_CHECKING:
     from jax import Array as JaxArray

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.perception.stevens import Intensity
+from tissue.perception.laws import Intensity
 
 __all__ = ["ForceMap", "LogTable"]
 

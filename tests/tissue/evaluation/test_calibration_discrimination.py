@@ -14,8 +14,8 @@ from tissue.evaluation.calibration.observers import (
     share_right,
 )
 from tissue.haptics.loop.filters import ForceRange
-from tissue.perception.population import reference_observer
-from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime
+from tissue.perception.laws import D_PRIME_75, correct_of_d_prime
+from tissue.perception.observer import reference_observer
 from tissue.scene.registry import GROUPS
 
 

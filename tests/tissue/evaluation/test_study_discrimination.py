@@ -8,8 +8,7 @@ from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.discrimination import Felt, FeltPair, changes_of, sides, specimens
 from tissue.evaluation.study.trial import intensity_ratios
 from tissue.haptics.loop.filters import ForceRange
-from tissue.perception.observer import Observer
-from tissue.perception.population import reference_observer
+from tissue.perception.observer import Observer, reference_observer
 
 WIDE = ForceRange(limit_N=1e4)
 PAIRS = [

@@ -7,7 +7,7 @@ import pytest
 
 from tissue import load_scene
 from tissue.evaluation.study import trial as measures
-from tissue.perception.population import reference_observer
+from tissue.perception.observer import reference_observer
 from tissue.scene.load import changed
 
 TICKS = 1200

@@ -20,11 +20,10 @@ from meshes.base.arrays import Array
 from tissue.evaluation.statistics.hypothesis_test import Effect
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
-from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
+from tissue.perception.adaptive import MAGNITUDE_FORCES_N, fit_magnitudes
+from tissue.perception.laws import D_PRIME_75, Intensity, intensity_of
 from tissue.perception.mapping import ForceMap
-from tissue.perception.population import population, reference_observer
-from tissue.perception.psychometric import D_PRIME_75
-from tissue.perception.stevens import Intensity, intensity_of
+from tissue.perception.observer import population, reference_observer
 
 __all__ = [
     "Command",

@@ -7,7 +7,7 @@ import numpy as np
 
 from tissue.evaluation.calibration.session import Session
 from tissue.figures.figure import figure, save
-from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime, with_lapse
+from tissue.perception.laws import D_PRIME_75, correct_of_d_prime, with_lapse
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,10 +7,17 @@ from scipy.special import logit
 from scipy.stats import binom
 
 from meshes.base.errors import InputError, require_range
-from tissue.perception.adaptive import EDGE_MASS, AdaptiveThreshold, ThresholdPrior, comparisons
-from tissue.perception.magnitude import MAGNITUDE_FORCES_N, MagnitudePosterior, fit_magnitudes
+from tissue.perception.adaptive import (
+    EDGE_MASS,
+    MAGNITUDE_FORCES_N,
+    AdaptiveThreshold,
+    MagnitudePosterior,
+    ThresholdPrior,
+    comparisons,
+    fit_magnitudes,
+)
+from tissue.perception.laws import two_interval
 from tissue.perception.observer import Observer
-from tissue.perception.psychometric import two_interval
 
 __all__ = ["Comparison", "Magnitude", "Plan", "Session"]
 

@@ -34,9 +34,8 @@ from tissue.evaluation.study.plan import (
     Variant,
 )
 from tissue.evaluation.study.puncture import NOTICED, RATE_N_S, pierce
-from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
-from tissue.perception.observer import PARAMETERS, Observer, write_observer
-from tissue.perception.population import reference_observer
+from tissue.perception.adaptive import MAGNITUDE_FORCES_N, fit_magnitudes
+from tissue.perception.observer import PARAMETERS, Observer, reference_observer, write_observer
 from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
