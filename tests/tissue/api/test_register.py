@@ -13,7 +13,7 @@ from tissue.evaluation.charts.keys import sources
 from tissue.evaluation.charts.prediction import Interval, PredictorComparison, comparison_lines
 from tissue.evaluation.charts.prediction_picture import draw_tasks
 from tissue.evaluation.stability_report import scene_stability
-from tissue.evaluation.training.evaluation import HORIZONS
+from tissue.evaluation.training.train import HORIZONS
 from tissue.haptics.device.device import DeviceParameters, Sample
 from tissue.motion.motion import Motion
 from tissue.prediction.guard import Guarded

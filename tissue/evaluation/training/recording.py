@@ -12,7 +12,6 @@ from tissue.builders.hand import hand_motion
 from tissue.builders.loop import judged_loop
 from tissue.builders.loop_settings import loop_settings
 from tissue.builders.registry import build, motion_of
-from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration
@@ -142,21 +141,6 @@ class Recorder:
             float(np.median(took)),
             rows[:, 6:],
         )
-
-    def ideal_N(self, scene: Scene, run: Recording) -> Array:
-        """Force that the scene's coupling gives without delay where the device of a run truly was, shape (n, 3).
-
-        Raises
-        ------
-        InputError
-            If the scene cannot be built.
-        """
-        motion, tissue = self._parts(scene)
-        assert run.true_position_m is not None
-        ticks = len(run.true_position_m)
-        motion.device = RecordedDevice(TICK_S * np.arange(ticks, dtype=np.float64), run.true_position_m)
-        rows, _, _ = _run(motion, tissue, ticks)
-        return rows[:, 3:6]
 
     def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
         """The hand of a scene and what it meets."""
