@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 __all__ = ["register"]
 
 F = TypeVar("F")
-COLOUR, MARKER = "#D55E00", "*"
+COLOUR = "#D55E00"
+MARKER = "*"
 
 
 class register:
@@ -58,35 +59,23 @@ class register:
             Those of the tool's keys that shape it beside its diameter.
         """
 
-        def add(part: Any) -> None:
-            check.name("tool", name)
-            check.callable_part("tool", name, part)
+        def entry(part: Any) -> CutterEntry:
             check.profile(name, part, keys)
-            CUTTERS.add(name, CutterEntry(part, tuple(keys)))
+            return CutterEntry(part, tuple(keys))
 
-        return _now_or_decorated(profile, add)
+        return _added("tool", name, profile, CUTTERS, entry)
 
     @staticmethod
     def probe(name: str, make: F | None = None, *, keys: tuple[str, ...] = ("diameter_mm",)) -> Any:
         """A smooth tool that presses: ``make(tool)`` returns the `ProbeShape` of a scene's tool."""
 
-        def add(part: Any) -> None:
-            check.name("probe", name)
-            check.callable_part("probe", name, part)
-            PROBES.add(name, ProbeEntry(part, tuple(keys)))
-
-        return _now_or_decorated(make, add)
+        return _added("probe", name, make, PROBES, lambda part: ProbeEntry(part, tuple(keys)))
 
     @staticmethod
     def needle(name: str, make: F | None = None) -> Any:
         """A needle: ``make(walls=...)`` returns the `NeedleTissue` that it meets, ``walls`` the scene's membranes."""
 
-        def add(part: Any) -> None:
-            check.name("needle", name)
-            check.callable_part("needle", name, part)
-            NEEDLES.add(name, part)
-
-        return _now_or_decorated(make, add)
+        return _added("needle", name, make, NEEDLES)
 
     @staticmethod
     def motion(name: str, parameters: "type[Part]", make: F | None = None) -> Any:
@@ -102,13 +91,11 @@ class register:
             Makes one of that, for ticks of so many seconds.
         """
 
-        def add(part: Any) -> None:
-            check.name("motion", name)
+        def entry(part: Any) -> MotionEntry:
             check.parameters("motion", name, parameters)
-            check.callable_part("motion", name, part, ("sweep_m", "rotations", "begin", "advance"))
-            MOTIONS.add(name, MotionEntry(parameters, part))
+            return MotionEntry(parameters, part)
 
-        return _now_or_decorated(make, add)
+        return _added("motion", name, make, MOTIONS, entry, methods=("sweep_m", "rotations", "begin", "advance"))
 
     @staticmethod
     def tissue(
@@ -137,13 +124,11 @@ class register:
             See `tissue.scene.registry.AnatomyEntry`.
         """
 
-        def add(part: Any) -> None:
-            check.name("tissue", name)
+        def entry(part: Any) -> AnatomyEntry:
             check.parameters("tissue", name, parameters)
-            check.callable_part("tissue", name, part)
-            ANATOMIES.add(name, AnatomyEntry(parameters, tool, part, force_N, pictures or {}, faces))
+            return AnatomyEntry(parameters, tool, part, force_N, pictures or {}, faces)
 
-        return _now_or_decorated(build, add)
+        return _added("tissue", name, build, ANATOMIES, entry)
 
     @staticmethod
     def device(
@@ -169,16 +154,18 @@ class register:
         Callable
             A decorator of the class that is `make`.
         """
+        from tissue.haptics.device.device import DeviceParameters
+
         check.name("device", name)
-        entry = DeviceEntry(check.device_numbers(numbers))
+        given = check.numbers_of(DeviceParameters, numbers, needed=("mass_kg", "damping_N_s_m"))
 
         def opens(part: Any) -> Any:
             check.callable_part("device", name, part, ("read", "command"))
-            DEVICES.put(name, DeviceEntry(entry.numbers, part))
+            DEVICES.put(name, DeviceEntry(given, part))
             return part
 
         if make is None:
-            DEVICES.add(name, entry)
+            DEVICES.add(name, DeviceEntry(given))
         else:
             opens(make)
         return opens
@@ -186,8 +173,10 @@ class register:
     @staticmethod
     def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
         """A hand: numbers of `tissue.haptics.hand.hand.HandParameters` in SI; the others are those of a known hand."""
+        from tissue.haptics.hand.hand import HandParameters
+
         check.name("hand", name)
-        HANDS.add(name, check.hand_numbers({**HANDS[like], **numbers}))
+        HANDS.add(name, check.numbers_of(HandParameters, {**HANDS[like], **numbers}))
 
     @staticmethod
     def renderer(name: str, make: F | None = None) -> Any:
@@ -196,12 +185,7 @@ class register:
         The loop is judged with ``loop.stiffness_N_m``; a law that is stiffer than that is not seen by the judge.
         """
 
-        def add(part: Any) -> None:
-            check.name("renderer", name)
-            check.callable_part("renderer", name, part, ("render", "pause"))
-            RENDERERS.add(name, part)
-
-        return _now_or_decorated(make, add)
+        return _added("renderer", name, make, RENDERERS, methods=("render", "pause"))
 
     @staticmethod
     def predictor(
@@ -223,15 +207,13 @@ class register:
             Its own in charts, as matplotlib has them.
         """
 
-        def add(part: Any) -> None:
+        def entry(part: Any) -> PredictorEntry:
             from tissue.prediction.outside import GuardedMaker
 
-            check.name("predictor", name)
-            check.callable_part("predictor", name, part, ("observe", "predict"))
             check.looks(colour, marker)
-            PREDICTORS.add(name, PredictorEntry(GuardedMaker(name, part, trained=trained), trained, colour, marker))
+            return PredictorEntry(GuardedMaker(name, part, trained=trained), trained, colour, marker)
 
-        return _now_or_decorated(make, add)
+        return _added("predictor", name, make, PREDICTORS, entry, methods=("observe", "predict"))
 
     @staticmethod
     def perception(name: str, make: F | None = None) -> Any:
@@ -240,12 +222,7 @@ class register:
         A name such as ``share:NUMBER`` stands for all texts with something behind the colon, which is the argument.
         """
 
-        def add(part: Any) -> None:
-            check.name("perception", name, argument=True)
-            check.callable_part("perception", name, part, ("step", "pause"))
-            PERCEPTIONS.add(name, part)
-
-        return _now_or_decorated(make, add)
+        return _added("perception", name, make, PERCEPTIONS, methods=("step", "pause"))
 
     @staticmethod
     def material(file: str | Path) -> tuple[str, ...]:
@@ -264,11 +241,25 @@ class register:
         return name
 
 
-def _now_or_decorated(part: Any, add: Callable[[Any], None]) -> Any:
-    """Add a part that is given; a decorator that adds one where none is."""
+def _same(part: Any) -> Any:
+    """Return the part itself, as the entry of a table without details."""
+    return part
 
-    def added(each: Any) -> Any:
-        add(each)
+
+def _added(
+    kind: str,
+    name: str,
+    part: Any,
+    table: Any,
+    entry: Callable[[Any], Any] = _same,
+    methods: tuple[str, ...] = (),
+) -> Any:
+    """Check a part and add its entry to a table; return a decorator that does so where no part is given."""
+
+    def add(each: Any) -> Any:
+        check.name(kind, name, argument=kind == "perception")
+        check.callable_part(kind, name, each, methods)
+        table.add(name, entry(each))
         return each
 
-    return added if part is None else added(part)
+    return add if part is None else add(part)
