@@ -47,7 +47,8 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     InputError
         If there is no such attribute.
     """
-    typical, names = reference_observer(), ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
+    typical = reference_observer()
+    names = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
     if strange := sorted(set(truth) - set(names)):
         raise InputError(f"truth must be of {', '.join(names)}, got {strange[0]}: use one of these")
     alpha, beta, kappa, offset, lapse, sigma = (
@@ -92,7 +93,8 @@ def run(
 
 def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int = 0) -> Array:
     """Weber fraction of each of many people, found by a session of comparisons with each, shape (n,)."""
-    rng, found = np.random.default_rng(seed), AdaptiveThreshold(observers=len(crowd))
+    rng = np.random.default_rng(seed)
+    found = AdaptiveThreshold(observers=len(crowd))
     for _ in range(trials):
         asked = found.propose()
         found.answer(asked, crowd.correct(found.base_N[asked], found.step_N[asked], rng))

@@ -232,7 +232,9 @@ def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
 def _names(runs: list[Run]) -> list[str]:
     """Names of runs by their folders or scenes; those that are equal are numbered."""
     plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
-    count, seen, found = Counter(plain), Counter[str](), []
+    count = Counter(plain)
+    seen = Counter[str]()
+    found = []
     for name in plain:
         seen[name] += 1
         found.append(f"{name} {seen[name]}" if count[name] > 1 else name)

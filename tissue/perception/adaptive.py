@@ -43,7 +43,8 @@ PRIOR_MEAN = (0.0, 1.4)
 """Prior mean of ln alpha and of beta: between palm pressure (1.1) and muscle force (1.7)."""
 PRIOR_WEIGHT = 1.0 / 16.0
 """Precision of both, in units of that of one report: at a scatter of 0.25 their standard deviation is 1."""
-PRIOR_SHAPE, PRIOR_SCALE = 2.0, 0.12
+PRIOR_SHAPE = 2.0
+PRIOR_SCALE = 0.12
 """Inverse-gamma prior of sigma^2: mean 0.12, a scatter of about 0.3."""
 
 
@@ -263,7 +264,8 @@ def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterio
     numbers
         Numbers that were given to them, positive, shape (n,).
     """
-    log_forces, logarithms = np.log(forces_N), np.log(numbers)
+    log_forces = np.log(forces_N)
+    logarithms = np.log(numbers)
     design = np.column_stack([np.ones(len(log_forces)), log_forces])
     prior = PRIOR_WEIGHT * np.eye(2)
     precision = prior + design.T @ design

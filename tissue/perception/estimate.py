@@ -27,9 +27,13 @@ MOST_STEPS = 200
 """Steps after which a bracket has shrunk to rounding by bisection alone."""
 FAR = 6.0
 """Standard deviations beyond which a prior excludes what was seen."""
-MEDIAN_N, LOG_SPREAD, NOISE_N = 1.0, 1.0, 0.3
+MEDIAN_N = 1.0
+LOG_SPREAD = 1.0
+NOISE_N = 0.3
 """What single looks are tried on: forces as the prior of ``perception.toml``, a look that scatters as at 4 N."""
-WANDER, NOISE, TICKS = 1e-4, 1.0, 2000
+WANDER = 1e-4
+NOISE = 1.0
+TICKS = 2000
 """Variances of level and look that the recursion is tried on, and for how long."""
 TAIL = 3.0
 """Degrees of freedom of Student's t for heavy tails; its variance is brought to that of the Gaussian."""
@@ -39,7 +43,8 @@ FATIGUE = 0.1
 
 def log_posterior(log_force: Array, seen_N: Array, noise_N: Array, log_median: Array, log_spread: Array) -> Array:
     """Logarithm of the density of F at u = ln F, up to a constant: -(u - m)^2 / 2 s^2 - u - (y - e^u)^2 / 2 r^2."""
-    off, missed = (log_force - log_median) / log_spread, (seen_N - np.exp(log_force)) / noise_N
+    off = (log_force - log_median) / log_spread
+    missed = (seen_N - np.exp(log_force)) / noise_N
     return -0.5 * off * off - log_force - 0.5 * missed * missed
 
 
@@ -116,7 +121,8 @@ def require_prior_fits(seen_N: float, noise_N: float, *, median_N: float, log_sp
     require_positive("noise_N", noise_N, "use the standard deviation of an observation")
     require_positive("median_N", median_N, "use 1")
     require_positive("log_spread", log_spread, "use 1")
-    low, high = median_N * np.exp(-FAR * log_spread), median_N * np.exp(FAR * log_spread)
+    low = median_N * np.exp(-FAR * log_spread)
+    high = median_N * np.exp(FAR * log_spread)
     if not low - FAR * noise_N <= seen_N <= high + FAR * noise_N:
         raise InputError(
             f"seen_N must be possible under the prior of {median_N:g} N with log spread {log_spread:g}, got {seen_N} "
@@ -126,13 +132,15 @@ def require_prior_fits(seen_N: float, noise_N: float, *, median_N: float, log_sp
 
 def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Array:
     """Where the slope crosses zero within brackets on which it falls; an end where it does not."""
-    low, high = low.copy(), high.copy()
+    low = low.copy()
+    high = high.copy()
     u = 0.5 * (low + high)
     for _ in range(MOST_STEPS):
         w = np.exp(u)
         slope = -(u - m) / (s * s) - 1.0 + ((y - w) / r) * (w / r)
         bend = -1.0 / (s * s) + ((y - 2.0 * w) / r) * (w / r)
-        low, high = np.where(slope > 0.0, u, low), np.where(slope > 0.0, high, u)
+        low = np.where(slope > 0.0, u, low)
+        high = np.where(slope > 0.0, high, u)
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = u - slope / bend
         inside = (newton > low) & (newton < high)
@@ -247,8 +255,10 @@ def recursive_estimate_errors(rng: np.random.Generator, *, runs: int = 200) -> l
 
 def _followed(assumed: str, law: LocalLevel, level: Array, seen: Array, best: float) -> AssumptionResult:
     """The second half of runs that a filter follows."""
-    estimate, variance = seen[0], law.noise
-    off, held = [], []
+    estimate = seen[0]
+    variance = law.noise
+    off = []
+    held = []
     for tick in range(1, len(level)):
         estimate, variance = law.step(estimate, variance, seen[tick])
         if tick >= len(level) // 2:

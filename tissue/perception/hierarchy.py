@@ -35,7 +35,8 @@ VARIANCE_SHAPE = 10.0
 perception.toml)."""
 CHAINS = 2
 """Chains of a fit: one cannot be compared with another."""
-R_HAT, ESS = 1.01, 400.0
+R_HAT = 1.01
+ESS = 400.0
 """Greatest R-hat and least effective sample size of a fit that counts as converged (Vehtari et al., 2021)."""
 
 

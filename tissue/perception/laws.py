@@ -130,7 +130,9 @@ class Intensity:
         wanted = np.asarray(intensity, dtype=float)
         if not (wanted >= 0.0).all():
             raise InputError(f"intensity must be at least 0, got {intensity!r}: intensities are sizes")
-        a, b, c = self.log_alpha + 0.5 * self.variances[0], self.beta + self.variances[1], self.variances[2]
+        a = self.log_alpha + 0.5 * self.variances[0]
+        b = self.beta + self.variances[1]
+        c = self.variances[2]
         with np.errstate(divide="ignore", invalid="ignore"):
             above = np.log(wanted) - a
             root = b * b + 2.0 * c * above

@@ -47,8 +47,10 @@ class Deadband:
 
     def __init__(self, law: Weber, *, widest: float = inf) -> None:
         self._widest = widest
-        self._kappa, self._least = law.kappa, law.kappa * law.offset
-        self._held, self._allowed = (0.0, 0.0, 0.0), min(self._least, widest)
+        self._kappa = law.kappa
+        self._least = law.kappa * law.offset
+        self._held = (0.0, 0.0, 0.0)
+        self._allowed = min(self._least, widest)
         self._fresh = True
         self.held: Array = np.zeros(3)
         self.changed = False
@@ -65,7 +67,9 @@ class Deadband:
         self._fresh = False
         self._held = x, y, z
         self._allowed = min(self._kappa * size + self._least, self._widest)
-        self.held[0], self.held[1], self.held[2] = x, y, z
+        self.held[0] = x
+        self.held[1] = y
+        self.held[2] = z
         return True
 
     def forget(self) -> None:
@@ -76,7 +80,8 @@ class Deadband:
 def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
     """A recorded sequence of vectors, shape (n, 3), as a deadband plays it, and where it changed, shape (n,)."""
     deadband = Deadband(law)
-    played, changes = np.empty_like(wanted, dtype=float), np.zeros(len(wanted), dtype=bool)
+    played = np.empty_like(wanted, dtype=float)
+    changes = np.zeros(len(wanted), dtype=bool)
     for tick, vector in enumerate(np.asarray(wanted, dtype=float).tolist()):
         changes[tick] = deadband.step(*vector)
         played[tick] = deadband.held
@@ -99,9 +104,11 @@ class Sense:
 
     def __init__(self, law: Weber, *, integration_s: float, tick_s: float, rng: np.random.Generator) -> None:
         self.gain = 1.0 - exp(-tick_s / integration_s)
-        self._kappa, self._offset = law.kappa, law.offset
+        self._kappa = law.kappa
+        self._offset = law.offset
         self._noise_ratio = sqrt((2.0 - self.gain) / self.gain) / D_PRIME_75
-        self._rng, self._drawn = rng, list[float]()
+        self._rng = rng
+        self._drawn = list[float]()
         self._level = self.force_N = 0.0
 
     def at(self, force_N: float) -> LocalLevel:
@@ -140,8 +147,11 @@ class PerceivedForce:
     """
 
     def __init__(self, law: ForceMap, deadband: Deadband, sense: Sense, *, sentence: str) -> None:
-        self.sentence, self.steepest = sentence, law.steepest
-        self.law, self.deadband, self.sense = law, deadband, sense
+        self.sentence = sentence
+        self.steepest = law.steepest
+        self.law = law
+        self.deadband = deadband
+        self.sense = sense
         self.estimated_N = self.perceived = self.perceived_spread = self._size = 0.0
         self.above = False
 

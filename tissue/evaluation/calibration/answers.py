@@ -226,7 +226,8 @@ def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:
     """
     if out.suffix != ".json":
         raise InputError(f"out must be the name of a file that ends in .json, got {out}: use observer.json")
-    path, picture = log_path(out), out.with_suffix(".png")
+    path = log_path(out)
+    picture = out.with_suffix(".png")
     for each in (out, picture):
         require_new_file(each, overwrite=overwrite)
     require_new_file(path, overwrite=True)  # one that is there is read below

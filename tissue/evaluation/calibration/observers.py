@@ -99,7 +99,8 @@ class SimulatedObservers:
 
     def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Whether each discriminates two intervals that lie a distance d' from each other, shape (n,)."""
-        first, second = self._noise(rng), self._noise(rng)
+        first = self._noise(rng)
+        second = self._noise(rng)
         blind, guess = rng.random((2, len(self)))
         return np.where(blind < 2.0 * self.lapse, guess < 0.5, np.asarray(distance) + second > first)
 

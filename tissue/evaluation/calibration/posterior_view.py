@@ -17,7 +17,9 @@ __all__ = ["draw_session", "posterior_panel"]
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
 HEIGHT = 8
-BLUE, ORANGE, GREY = "#0072B2", "#E69F00", "0.6"
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREY = "0.6"
 
 
 def posterior_panel(session: Session) -> "Panel":
@@ -27,10 +29,12 @@ def posterior_panel(session: Session) -> "Panel":
     masses = session.threshold.weber_masses()[:, 0]
     eighths = np.rint(8 * HEIGHT * masses / masses.max()).astype(int)
     rows = ["".join(BLOCKS[np.clip(each - 8 * row, 0, 8)] for each in eighths) for row in reversed(range(HEIGHT))]
-    webers, axis = session.plan.prior.webers, [" "] * len(masses)
+    webers = session.plan.prior.webers
+    axis = [" "] * len(masses)
     for tick in (0.02, 0.05, 0.1, 0.2, 0.5):
         if webers[0] <= tick <= webers[-1]:
-            at, word = int(np.argmin(np.abs(np.log(webers / tick)))), f"{100 * tick:g}"
+            at = int(np.argmin(np.abs(np.log(webers / tick))))
+            word = f"{100 * tick:g}"
             axis[at : at + len(word)] = word
     text = "\n".join([*rows, "".join(axis)[: len(masses)] + " %", "", *session.lines()])
     count = session.plan.trials + session.plan.numbers
@@ -90,7 +94,8 @@ def _numbers(session: Session, axes: "Axes") -> None:
         axes.text(0.5, 0.5, "no numbers were asked", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
         return
-    fit, (forces, numbers) = session.magnitudes(), np.array(session.given).T
+    fit = session.magnitudes()
+    (forces, numbers) = np.array(session.given).T
     at = np.geomspace(forces.min(), forces.max(), 50)
     axes.loglog(forces, numbers, "o", color=ORANGE, alpha=0.7)
     axes.loglog(at, np.exp(fit.mean[0]) * at ** fit.mean[1], color=BLUE)

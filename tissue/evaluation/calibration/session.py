@@ -188,7 +188,8 @@ class Session:
 
     def notes(self) -> list[str]:
         """What the answers cannot show, in sentences; empty for an ordinary session."""
-        found, count = [], len(self.asked)
+        found = []
+        count = len(self.asked)
         right = sum(answer == asked.greater for asked, answer in self.asked)
         high = float(self.threshold.weber_quantiles(np.array([0.95]))[0, 0])
         if count >= 10 and right == count:
@@ -233,7 +234,8 @@ class Session:
         base, step = (np.array([getattr(asked, name) for asked, _ in self.asked]) for name in ("base_N", "step_N"))
         right = two_interval(base, step, weber[likeliest], offset[likeliest], lapse[likeliest])
         was = np.array([answer == asked.greater for asked, answer in self.asked])
-        logs, other = np.log(np.where(was, right, 1.0 - right)), np.log(np.where(was, 1.0 - right, right))
+        logs = np.log(np.where(was, right, 1.0 - right))
+        other = np.log(np.where(was, 1.0 - right, right))
         chance = np.where(was, right, 1.0 - right)
         mean = chance * logs + (1.0 - chance) * other
         variance = chance * (1.0 - chance) * (logs - other) ** 2

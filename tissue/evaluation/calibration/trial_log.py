@@ -14,7 +14,8 @@ from tissue.perception.adaptive import ThresholdPrior
 
 __all__ = ["TrialLog", "log_path", "read_log"]
 
-FORMAT, VERSION = "tissue trials", 1
+FORMAT = "tissue trials"
+VERSION = 1
 
 
 def log_path(out: Path) -> Path:
@@ -50,13 +51,15 @@ class TrialLog:
     def __init__(self, path: Path, observer: str, plan: Plan) -> None:
         about = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "observer": observer}
         head = json.dumps(about | {"plan": asdict(plan)}) + "\n"
-        self.path, self.mended = require_regular(path), False
+        self.path = require_regular(path)
+        self.mended = False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             text = path.read_bytes() if path.exists() else b""
             if head.encode().startswith(text):
                 self.mended = 0 < len(text) < len(head)
-                self.session, kept = Session(plan), head.encode()
+                self.session = Session(plan)
+                kept = head.encode()
             else:
                 who, self.session = read_log(path)
                 if who != observer or self.session.plan != plan:
@@ -143,7 +146,9 @@ def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
     entry = read_json(line)
     if not isinstance(entry, dict):
         raise ValueError(f"{line[:40]}")
-    trial, answer, what = entry.pop("trial"), entry.pop("answer"), entry.pop("ask")
+    trial = entry.pop("trial")
+    answer = entry.pop("answer")
+    what = entry.pop("ask")
     if isinstance(answer, bool) or not isinstance(answer, int | float):
         raise InputError(f"answer must be a number, got {answer!r}")
     kinds = {"comparison": Comparison, "magnitude": Magnitude}

@@ -18,7 +18,6 @@ __all__ = [
     "force_rms_N",
     "latency_ms",
     "overshoot_mm",
-    "position_error_mm",
     "spectral_arc_length",
 ]
 
@@ -168,13 +167,6 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     return -float(steps.sum())
 
 
-def position_error_mm(position_mm: ArrayLike, target_mm: ArrayLike) -> float:
-    """Mean distance of the tip from where it should be [mm], shapes (ticks, 3) and (ticks, 3) or (3,)."""
-    position = _signal("position_mm", position_mm, at_least=1)
-    target = np.broadcast_to(_signal("target_mm", np.atleast_2d(target_mm), at_least=1), position.shape)
-    return float(np.linalg.norm(position - target, axis=1).mean())
-
-
 def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
     """Time from the first tick until the task is done and stays done [s]; infinite if it is not done at the end.
 
@@ -215,7 +207,8 @@ def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
 def _correlation(force: Array, ideal: Array, shift: int) -> float:
     """Correlation of force[t + shift] with ideal[t] over the ticks that both have."""
     late, early = (force[shift:], ideal[: len(ideal) - shift]) if shift >= 0 else (force[:shift], ideal[-shift:])
-    late, early = late - late.mean(axis=0), early - early.mean(axis=0)
+    late = late - late.mean(axis=0)
+    early = early - early.mean(axis=0)
     sizes = float(np.linalg.norm(late) * np.linalg.norm(early))
     return float((late * early).sum()) / sizes if sizes > 0.0 else -1.0
 
@@ -236,7 +229,8 @@ def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
 
 def _pair(first_name: str, first: ArrayLike, second_name: str, second: ArrayLike) -> tuple[Array, Array]:
     """Two signals of one shape."""
-    one, other = _signal(first_name, first, at_least=1), _signal(second_name, second, at_least=1)
+    one = _signal(first_name, first, at_least=1)
+    other = _signal(second_name, second, at_least=1)
     if one.shape != other.shape:
         raise InputError(
             f"{first_name} must have the shape of {second_name}, got {one.shape} and {other.shape}: "

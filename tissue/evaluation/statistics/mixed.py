@@ -92,7 +92,8 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
     """
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
     cells = table.cells(metric, within=within or ["method"])
-    group_count, user_count = len(cells.group_names), len(cells.users)
+    group_count = len(cells.group_names)
+    user_count = len(cells.users)
     if not within and group_count < 2:
         raise InputError("table must hold two groups, tasks or methods, got one of each: there is nothing to compare")
     require_statsmodels()
@@ -185,7 +186,8 @@ def _tests(
     for term, row in fitted.wald_test_terms(scalar=True).table.iterrows():
         if term == "Intercept":
             continue
-        above, below = int(row["df_constraint"]), _freedom(fitted, term, free)
+        above = int(row["df_constraint"])
+        below = _freedom(fitted, term, free)
         statistic = float(row["statistic"]) / above
         found.append(
             HypothesisTest(

@@ -86,7 +86,8 @@ def redrawn_power(cells: Cells, *, rng: np.random.Generator, populations: int = 
         How often.
     """
     order = np.argsort(cells.groups, kind="stable")
-    values, groups = cells.values[order], cells.groups[order]
+    values = cells.values[order]
+    groups = cells.groups[order]
     means = group_means(values, groups)[groups]
     counts = np.bincount(groups)[groups][:, None]
     null = (values - means) * np.sqrt(counts / (counts - 1.0))

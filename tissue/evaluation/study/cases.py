@@ -84,13 +84,15 @@ def _drilling(table: TrialTable, seed: int) -> Section:
         part = table.where(method=method)
         chosen = part.values("specimen") == TEETH.index(tooth)
         if chosen.any():
-            lag, error = part.values("latency_ms")[chosen], 100.0 * part.values("force_error")[chosen]
+            lag = part.values("latency_ms")[chosen]
+            error = 100.0 * part.values("force_error")[chosen]
             rows.append((method, tooth, spread(lag), f"< {paper}", spread(error), str(chosen.sum())))
     pair = specimens(table.where(method=methods_of(table)[0]))
     text = "there are too few trials to discriminate carious from sound"
     if pair is not None:
         shares = right_percent(pair, seed).values()
-        carious, sound = pair.less.stimulus.level_N, pair.more.stimulus.level_N
+        carious = pair.less.stimulus.level_N
+        sound = pair.more.stimulus.level_N
         text = (
             f"carious ({carious:.3f} N at the skin) and sound ({sound:.3f} N) are discriminated in "
             f"{min(shares):.0f} to {max(shares):.0f} % of answers; the paper prints {CASES['caries_right_percent']} %"
@@ -198,5 +200,6 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
 
 def _middle(ordered: Array) -> float:
     """Median of sorted values, of which some may be infinite."""
-    low, high = ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2]
+    low = ordered[(len(ordered) - 1) // 2]
+    high = ordered[len(ordered) // 2]
     return float(low if low == high else 0.5 * (low + high))

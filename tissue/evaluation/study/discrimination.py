@@ -102,8 +102,10 @@ class FeltPair:
 
         Where the stiffer one has the smaller force at the skin, people who go by force are wrong: d' is below zero.
         """
-        first, second = self.less.stimulus, self.more.stimulus
-        d, right = sensitivity(people, first, second), chance_right(people, first, second)
+        first = self.less.stimulus
+        second = self.more.stimulus
+        d = sensitivity(people, first, second)
+        right = chance_right(people, first, second)
         return (d, right) if second.level_N >= first.level_N else (-d, 1.0 - right)
 
 
@@ -120,7 +122,8 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
         return np.array([new_d - d, 100.0 * (new_d / d - 1.0) if d else 0.0, 100.0 * (new_right - right)])
 
     who = np.arange(len(plain.less.means_N))
-    value, count = change(plain, other), len(who)
+    value = change(plain, other)
+    count = len(who)
     without = np.array([change(plain.of(kept), other.of(kept)) for kept in (np.delete(who, each) for each in who)])
     error = np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
     reach = float(t.ppf(0.975, max(count - 1, 1))) * error
@@ -133,10 +136,12 @@ def specimens(part: TrialTable) -> FeltPair | None:
     None where nobody met both, or nobody met one of them twice.
     """
     chosen = np.isin(part.values("specimen"), (0.0, 1.0))
-    forces, people = part.values("skin_N")[chosen], part.people()[chosen]
+    forces = part.values("skin_N")[chosen]
+    people = part.people()[chosen]
     second: NDArray[np.bool_] = part.values("specimen")[chosen] == 1.0
     known = np.isin(people, np.intersect1d(people[second], people[~second]))
-    first, second = known & ~second, known & second
+    first = known & ~second
+    second = known & second
     return _pair((forces[first], people[first]), (forces[second], people[second]))
 
 

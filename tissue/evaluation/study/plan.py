@@ -40,7 +40,8 @@ LATENCY_MS = 4
 """Latency of the loop in every trial, the paper's mean being 4.3 ms."""
 REFERENCE = "reference"
 """Variant in which the reference itself is held against the finest model."""
-SENSITIVITY_TRIALS, REFERENCE_TRIALS = 6, 2
+SENSITIVITY_TRIALS = 6
+REFERENCE_TRIALS = 2
 """Trials a task for each variant; reference trials take longest, so there are few."""
 MIDDLE = "intermediate"
 """Group of the variants."""

@@ -99,7 +99,7 @@ def register(folder: Path, plan: Plan, held: list[Registration], *, trials: int)
 
 
 def registered(content: Mapping[str, Any]) -> list[Registration]:
-    """Registrations of what a study.json holds, none for a study that began without.
+    """Return the registrations in the content of a study.json.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def registered(content: Mapping[str, Any]) -> list[Registration]:
     """
     return [
         {"file": str(each["file"]), "sha256": str(each["sha256"]), "trials_before": int(each["trials_before"])}
-        for each in content.get("registrations", [])
+        for each in content["registrations"]
     ]
 
 

@@ -38,7 +38,7 @@ from tissue.evaluation.study.trial import (
 )
 from tissue.materials.constants import constants
 from tissue.system.html import html_page, html_picture
-from tissue.system.owned_folder import listed_files, owned_folder
+from tissue.system.owned_folder import owned_folder
 
 __all__ = ["found_section", "registration_section", "sections_of", "write_report"]
 
@@ -77,10 +77,7 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
     out = path / "report"
     folder.plan()  # refuses a folder that is no study before anything is made in it
     page = out / "index.html"
-    # The folder of a study of version 0.2 has no marker: the files in its report are those of an earlier report.
-    listed = listed_files(out) or listed_files(path)
-    earlier = () if listed else {each.name for each in (page, *out.glob("*.csv")) if each.is_file()}
-    with owned_folder(out, "study report", (), shared=["index.html"], adopted=earlier):
+    with owned_folder(out, "study report", (), shared=["index.html"]):
         sections = sections_of(folder, report=report)
         links = " · ".join(f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections)
         body = "\n".join(_as_html(section, section.write_csv(out)) for section in sections)
@@ -200,15 +197,10 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
     tests
         The report's section on tests; none where nothing is compared.
     """
-    title = "What differs from the registered plan"
     plan = folder.plan()
-    there = folder.registrations()
-    if not there:
-        none = "No plan was registered before the first trial of this study."
-        return Section("registration", title, (none,), headline=none)
     kept = list(folder.trials(variant=None))
     found = [*_plans(folder), *_trials(folder, plan, kept), *_origins(folder, plan, kept), *_tests(folder, tests)]
-    newest = there[-1]
+    newest = folder.registrations()[-1]
     when = f"after {newest['trials_before']} trials" if newest["trials_before"] else "before the first trial"
     kinds = list(dict.fromkeys(kind for kind, _, _ in found))
     differs = f"{len(found)} differences from it: {', '.join(kinds)}." if found else "Nothing differs from it."
@@ -218,6 +210,7 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
         "which a copy of the plan in other hands would."
     )
     header = ("kind", "what", "detail") if found else ()
+    title = "What differs from the registered plan"
     return Section("registration", title, (headline, limits), header, tuple(found), headline=headline)
 
 

@@ -80,7 +80,8 @@ def run_study(
 def _run_trials(plan: Plan, folder: StudyFolder, count: int, scheduler: str | None, report: Progress) -> None:
     """Run the trials that the folder does not hold yet, and replace workers that are lost."""
     work = _Work(plan, folder, report)
-    barren, connected = 0, False
+    barren = 0
+    connected = False
     while work.waiting:
         before = work.done
         suspects = [key for key in work.waiting if work.losses[key] >= LOSSES]
@@ -125,14 +126,17 @@ class _Work:
     """What is left of a plan."""
 
     def __init__(self, plan: Plan, folder: StudyFolder, report: Progress) -> None:
-        self.plan, self.folder, self._report = plan, folder, report
+        self.plan = plan
+        self.folder = folder
+        self._report = report
         keys = list(plan.all_trials())
         self.total = len(keys)
         self.waiting = dict.fromkeys(key for key in keys if not folder.has(key))
         self.running: dict[Future[Trial], TrialKey] = {}
         self.losses: Counter[TrialKey] = Counter()
         self.done = 0
-        self._began, self._at_first = perf_counter(), len(self.waiting)
+        self._began = perf_counter()
+        self._at_first = len(self.waiting)
 
     @property
     def share(self) -> float:

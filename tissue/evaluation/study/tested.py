@@ -209,7 +209,8 @@ def composite_section(table: TrialTable, rng: np.random.Generator) -> Content:
 
 def regression_section(table: TrialTable, rng: np.random.Generator) -> Content:
     """Task error on force error and latency: slopes by task."""
-    rows, remarks = [], []
+    rows = []
+    remarks = []
     for task in tasks_of(table):
         found = trial_regression(table.where(task=task), "position_error_mm", ("force_error", "latency_ms"))
         remarks.append(f"{task}: {found.sentence}")
@@ -220,7 +221,9 @@ def regression_section(table: TrialTable, rng: np.random.Generator) -> Content:
 
 def power_section(table: TrialTable, rng: np.random.Generator) -> Content:
     """Error rates of the tests with users drawn again 10,000 times, by task and test."""
-    rows, remarks, loose = [], [], []
+    rows = []
+    remarks = []
+    loose = []
     for task in tasks_of(table):
         chosen, _ = _distinct(table.where(task=task), ("force_error",))
         for each in redrawn_power(chosen.cells("force_error"), rng=rng):

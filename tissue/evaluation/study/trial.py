@@ -173,7 +173,9 @@ def error_sentence(error: Exception) -> str:
 
 def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     """Scenes of a trial, and its person, whose calibration is written to a file."""
-    rng, person, task = plan.rng(key), plan.person(key), TASKS[key.task]
+    rng = plan.rng(key)
+    person = plan.person(key)
+    task = TASKS[key.task]
     variant = VARIANTS.get(key.variant, PLAIN)
     seed = int(rng.integers(2**62))
     pace = variant.pace * float(np.exp(PACE_SPREAD * person.standard_normal() + WITHIN_SPREAD * rng.standard_normal()))
@@ -227,8 +229,10 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
     truth = Observer.known(name, alpha=alpha, beta=beta, kappa=kappa, offset_N=offset_N, lapse=lapse, sigma=sigma)
     forces = np.resize(MAGNITUDE_FORCES_N, NUMBERS)
     fit = fit_magnitudes(forces, np.array([drawn.number(force, rng)[0] for force in forces]))
-    mean, covariance = truth.mean.copy(), truth.covariance.copy()
-    mean[:2], covariance[:2, :2] = fit.mean, fit.covariance
+    mean = truth.mean.copy()
+    covariance = truth.covariance.copy()
+    mean[:2] = fit.mean
+    covariance[:2, :2] = fit.covariance
     return truth, Observer(name=name, mean=mean, covariance=covariance, trials=NUMBERS)
 
 
@@ -242,7 +246,8 @@ def _methods(plan: Plan, key: TrialKey) -> tuple[str, ...]:
 
 def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     """Metrics of a trial under one method."""
-    scene, person = trial.scenes[method], trial.person
+    scene = trial.scenes[method]
+    person = trial.person
     if key.task == "needle":
         run = pierce(scene, kappa=person.kappa, offset_N=person.offset_N, rate_N_s=trial.pace * RATE_N_S).run
     else:

@@ -161,7 +161,8 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
     motion.begin(tool)
     tissue.place(tool)
     rows: Array = np.zeros((ticks, 9))
-    contact, took = np.zeros((ticks, CONTACT_WIDTH)), np.zeros(ticks)
+    contact = np.zeros((ticks, CONTACT_WIDTH))
+    took = np.zeros(ticks)
     response = Response.empty(len(tissue.layer_names))
     raw = slice(motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1)
     knows = TRUE[0] in motion.measure_names
@@ -179,6 +180,7 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
         took[index] = perf_counter() - start
         motion.play(response)
         contact[index] = motion.contact(response).row()
-        row[:3], row[3:6] = 1e-3 * motion.measures[:3], motion.measures[raw]
+        row[:3] = 1e-3 * motion.measures[:3]
+        row[3:6] = motion.measures[raw]
         row[6:] = 1e-3 * motion.measures[true : true + 3]
     return rows, contact, took
