@@ -1,4 +1,4 @@
-"""What people feel of forces, found by asking them, and simulated people of known truth: `tissue.calibration`."""
+"""Calibration of people who feel forces, and simulated people of known truth: `tissue.calibration`."""
 
 from pathlib import Path
 
@@ -28,12 +28,12 @@ __all__ = [
 
 
 def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
-    """Simulated people of a group (novice, intermediate, expert), drawn from cited spreads."""
+    """Return the simulated people of a group (novice, intermediate, expert), drawn from cited spreads."""
     return draw_observers(group, count, np.random.default_rng(seed))
 
 
 def alike(count: int, **truth: float) -> SimulatedObservers:
-    """Simulated people who are all alike: those of the reference, and what is given otherwise.
+    """Return simulated people who are all alike: those of the reference, and what is given otherwise.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
 def run(
     answer: Answer, log: str | Path, *, name: str = "simulated", plan: Plan | None = None, trials: int | None = None
 ) -> Session:
-    """A session, as `tissue calibrate` asks it, gone on with where its log ends.
+    """Run a session as `tissue calibrate` does, from where its log ends.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def run(
 
 
 def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int = 0) -> Array:
-    """Weber fraction of each of many people, found by a session of comparisons with each, shape (n,)."""
+    """Estimate the Weber fraction of many people by a session of comparisons with each, shape (n,)."""
     rng = np.random.default_rng(seed)
     found = AdaptiveThreshold(observers=len(crowd))
     for _ in range(trials):
@@ -104,7 +104,7 @@ def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int 
 def share_right(
     crowd: SimulatedObservers, first_N: float, second_N: float, *, seed: int, calibrated_by: int | None = None
 ) -> Array:
-    """Share of 100 comparisons of two forces [N] in which each names the greater one, shape (n,).
+    """Return the share of 100 comparisons of two forces [N] in which each names the greater one, shape (n,).
 
     Parameters
     ----------

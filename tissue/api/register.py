@@ -46,7 +46,7 @@ class register:
 
     @staticmethod
     def tool(name: str, profile: F | None = None, *, keys: tuple[str, ...] = ()) -> Any:
-        """A rotating cutter, by its half section.
+        """Register a rotating cutter by its half section.
 
         Parameters
         ----------
@@ -67,19 +67,19 @@ class register:
 
     @staticmethod
     def probe(name: str, make: F | None = None, *, keys: tuple[str, ...] = ("diameter_mm",)) -> Any:
-        """A smooth tool that presses: ``make(tool)`` returns the `ProbeShape` of a scene's tool."""
+        """Register a smooth tool that presses: ``make(tool)`` returns the `ProbeShape` of a scene's tool."""
 
         return _added("probe", name, make, PROBES, lambda part: ProbeEntry(part, tuple(keys)))
 
     @staticmethod
     def needle(name: str, make: F | None = None) -> Any:
-        """A needle: ``make(walls=...)`` returns the `NeedleTissue` that it meets, ``walls`` the scene's membranes."""
+        """Register a needle: ``make(walls=...)`` returns its `NeedleTissue`, ``walls`` are the scene's membranes."""
 
         return _added("needle", name, make, NEEDLES)
 
     @staticmethod
     def motion(name: str, parameters: "type[Part]", make: F | None = None) -> Any:
-        """What moves the tool: ``make(parameters, step_s)`` returns a `tissue.motion.motion.Motion`.
+        """Register a motion of the tool: ``make(parameters, step_s)`` returns a `tissue.motion.motion.Motion`.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class register:
         pictures: Mapping[str, Callable[..., None]] | None = None,
         faces: Callable[..., Any] | None = None,
     ) -> Any:
-        """What a tool meets: ``build(scene, motion, *, step_s, compute, cores, report)`` returns the parts of a run.
+        """Register a tissue: ``build(scene, motion, *, step_s, compute, cores, report)`` returns the parts of a run.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class register:
         numbers: "Mapping[str, float] | DeviceParameters",
         make: Callable[[tuple[float, float, float]], object] | None = None,
     ) -> Callable[[F], F]:
-        """A haptic device: its numbers, by which it is judged, and what opens the real one.
+        """Register a haptic device: the numbers of its stability check, and a function that opens the real one.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class register:
 
     @staticmethod
     def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
-        """A hand: numbers of `tissue.haptics.hand.hand.HandParameters` in SI; the others are those of a known hand."""
+        """Register a hand: numbers of `HandParameters` in SI; the others are those of a known hand."""
         from tissue.haptics.hand.hand import HandParameters
 
         check.name("hand", name)
@@ -180,7 +180,7 @@ class register:
 
     @staticmethod
     def renderer(name: str, make: F | None = None) -> Any:
-        """A law by which a device plays what the tool meets, with `render` and `pause`: ``make(loop)`` of a `WallLoop`.
+        """Register a rendering law with `render` and `pause`: ``make(loop)`` takes a `WallLoop`.
 
         The loop is judged with ``loop.stiffness_N_m``; a law that is stiffer than that is not seen by the judge.
         """
@@ -191,7 +191,7 @@ class register:
     def predictor(
         name: str, make: F | None = None, *, trained: bool = False, colour: str = COLOUR, marker: str = MARKER
     ) -> Any:
-        """What predicts the force on a device: a class with `observe` and `predict`, see `tissue.prediction.outside`.
+        """Register a predictor of the force: a class with `observe` and `predict`, see `tissue.prediction.outside`.
 
         It runs under the guard, which holds the last force where holding would miss less, and is judged with the loop.
 
@@ -217,7 +217,7 @@ class register:
 
     @staticmethod
     def perception(name: str, make: F | None = None) -> Any:
-        """A perceptual map: ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`.
+        """Register a map: ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`.
 
         A name such as ``share:NUMBER`` stands for all texts with something behind the colon, which is the argument.
         """
@@ -226,7 +226,7 @@ class register:
 
     @staticmethod
     def material(file: str | Path) -> tuple[str, ...]:
-        """Materials of a TOML file: ``[cutting.NAME.CONSTANT]`` for ``cutting.material``, ``[soft...]`` for organs.
+        """Register the materials of a TOML file: ``[cutting.NAME.CONSTANT]`` for cutting, ``[soft...]`` for organs.
 
         Each constant has value, range, source and confidence, as in `tissue/materials`. Returns the names.
         """
@@ -234,7 +234,7 @@ class register:
 
     @staticmethod
     def scene(file: str | Path) -> str:
-        """A scene in a TOML file, by the name that it holds: for `load_scene`, ``tissue scenes`` and ``tissue run``."""
+        """Register the scene of a TOML file by its name, for `load_scene`, ``tissue scenes`` and ``tissue run``."""
         path = Path(file).resolve()
         name = check.scene_name(path)
         SCENES.add(name, path)

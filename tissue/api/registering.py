@@ -1,4 +1,4 @@
-"""What is asked of a part from outside before it is registered, each refusal one sentence."""
+"""Checks of a part from outside before it is registered."""
 
 import inspect
 import re
@@ -123,7 +123,7 @@ def looks(colour: str, marker: str) -> None:
 
 
 def scene_name(path: Path) -> str:
-    """The name that a scene's file holds, where none has it."""
+    """Return the name that a scene's file holds, where none has it."""
     from tissue.scene.load import library_names
 
     found = _table(path, "scene").get("name")
@@ -175,7 +175,7 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
 
 
 def _table(path: Path, kind: str) -> dict[str, Any]:
-    """A TOML file."""
+    """Read a TOML file."""
     require_regular(path)
     try:
         return read_toml(path.read_text("utf-8"))

@@ -169,7 +169,7 @@ class AdaptiveThreshold:
         self._entropy = -(self._right * np.log(self._right) + wrong * np.log(wrong))
 
     def propose(self) -> NDArray[np.intp]:
-        """Index of the comparison with the least expected entropy of the posterior, shape (observers,)."""
+        """Return the index of the comparison with the least expected entropy of the posterior, shape (observers,)."""
         right = np.clip(self._right @ self.posterior, 1e-12, 1.0 - 1e-12)
         marginal = -(right * np.log(right) + (1.0 - right) * np.log1p(-right))
         return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
@@ -181,7 +181,7 @@ class AdaptiveThreshold:
         self.posterior /= self.posterior.sum(axis=0)
 
     def weber_masses(self) -> Array:
-        """Posterior of the Weber fraction alone, shape (cells, observers)."""
+        """Return the posterior of the Weber fraction alone, shape (cells, observers)."""
         return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
 
     def threshold_N(self, base_N: float) -> tuple[Array, Array]:
@@ -193,7 +193,7 @@ class AdaptiveThreshold:
         return self._log_moments(self._weber)
 
     def offset_N(self) -> Array:
-        """Geometric mean of the low-force term [N], shape (observers,)."""
+        """Return the geometric mean of the low-force term [N], shape (observers,)."""
         return self._log_moments(self._offset)[0]
 
     def _log_moments(self, values: Array) -> tuple[Array, Array]:
@@ -203,7 +203,7 @@ class AdaptiveThreshold:
         return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
 
     def lapse(self) -> Array:
-        """Mean of the lapse, shape (observers,)."""
+        """Return the mean of the lapse, shape (observers,)."""
         return self._lapse @ self.posterior
 
     def weber_quantiles(self, shares: Array) -> Array:
@@ -243,17 +243,17 @@ class MagnitudePosterior:
         return np.asarray(self.scale / (self.shape - 1.0) * np.linalg.inv(self.precision))
 
     def log_sigma(self) -> tuple[float, float]:
-        """Mean and variance of ln sigma."""
+        """Return the mean and variance of ln sigma."""
         return 0.5 * float(np.log(self.scale) - digamma(self.shape)), 0.25 * float(polygamma(1, self.shape))
 
     def exponent_at(self, shares: ArrayLike) -> Array:
-        """Quantiles of the exponent beta."""
+        """Return the quantiles of the exponent beta."""
         width = np.sqrt(self.scale / self.shape * np.linalg.inv(self.precision)[1, 1])
         return self.mean[1] + width * t.ppf(shares, 2.0 * self.shape)
 
 
 def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterior:
-    """Posterior after some reports; without any it is the prior.
+    """Compute the posterior after some reports; without any it is the prior.
 
     The factor is that of a person's numbers: it cannot be separated from how the person uses them.
 

@@ -55,7 +55,7 @@ def map_force_N(
     median_N: ArrayLike | None = None,
     log_spread: ArrayLike | None = None,
 ) -> Array:
-    """Force [N] of greatest posterior density, for observations that may be zero or negative (E7).
+    """Estimate the force [N] of largest posterior density, for observations that may be zero or negative (E7).
 
     In u = ln F the slope g(u) = -(u - m) / s^2 - 1 + (y - e^u) e^u / r^2 falls, rises and falls again, or only falls:
     between are at most two points, the roots of 2 w^2 - y w + r^2 / s^2 in w = e^u. Every falling piece that holds a
@@ -131,7 +131,7 @@ def require_prior_fits(seen_N: float, noise_N: float, *, median_N: float, log_sp
 
 
 def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Array:
-    """Where the slope crosses zero within brackets on which it falls; an end where it does not."""
+    """Find the zero of the slope within brackets on which it falls; an end without a zero."""
     low = low.copy()
     high = high.copy()
     u = 0.5 * (low + high)
@@ -175,7 +175,7 @@ class LocalLevel:
         require_positive("noise", self.noise, "use the variance of one observation")
 
     def step(self, level: Level, variance: float, seen: Level) -> tuple[Level, float]:
-        """Level, or many levels, and variance after one more observation."""
+        """Return the level, or many levels, and variance after one more observation."""
         predicted = variance + self.wander
         gain = predicted / (predicted + self.noise)
         return level + gain * (seen - level), gain * self.noise
@@ -236,7 +236,7 @@ def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> lis
 
 
 def recursive_estimate_errors(rng: np.random.Generator, *, runs: int = 200) -> list[AssumptionResult]:
-    """The recursive estimate of a wandering level in each of ``runs`` runs, by what is assumed."""
+    """Return the errors of the recursive estimate of a wandering level in ``runs`` runs, by what is assumed."""
     right = LocalLevel(wander=WANDER, noise=NOISE)
     level = 5.0 + np.cumsum(np.sqrt(WANDER) * rng.standard_normal((TICKS, runs)), axis=0)
     gaussian = rng.standard_normal((TICKS, runs))
@@ -254,7 +254,7 @@ def recursive_estimate_errors(rng: np.random.Generator, *, runs: int = 200) -> l
 
 
 def _followed(assumed: str, law: LocalLevel, level: Array, seen: Array, best: float) -> AssumptionResult:
-    """The second half of runs that a filter follows."""
+    """Follow runs by a filter, and return its errors over their second half."""
     estimate = seen[0]
     variance = law.noise
     off = []
@@ -268,5 +268,5 @@ def _followed(assumed: str, law: LocalLevel, level: Array, seen: Array, best: fl
 
 
 def _heavy(rng: np.random.Generator, shape: int | tuple[int, ...]) -> Array:
-    """Student's t with unit variance."""
+    """Draw from Student's t with unit variance."""
     return np.asarray(rng.standard_t(TAIL, shape) / np.sqrt(TAIL / (TAIL - 2.0)))

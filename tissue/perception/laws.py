@@ -32,7 +32,7 @@ QUANTITIES = {"force": "offset_N", "torque": "offset_Nm", "stiffness": "offset_N
 
 
 def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
-    """Share of right answers 1/2 + (1/2 - lapse) share in two intervals (Wichmann and Hill, 2001).
+    """Return the share of right answers 1/2 + (1/2 - lapse) share in two intervals (Wichmann and Hill, 2001).
 
     Parameters
     ----------
@@ -45,14 +45,14 @@ def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
 
 
 def correct_of_d_prime(d_prime: ArrayLike) -> Array:
-    """Share of right answers in two intervals: Phi(d' / sqrt(2)) (Green and Swets, 1966)."""
+    """Return the share of right answers in two intervals: Phi(d' / sqrt(2)) (Green and Swets, 1966)."""
     return ndtr(np.asarray(d_prime, dtype=float) / np.sqrt(2.0))
 
 
 def two_interval(
     base_N: ArrayLike, step_N: ArrayLike, weber: ArrayLike, offset_N: ArrayLike, lapse: ArrayLike = 0.0
 ) -> Array:
-    """Share of right answers to which of two forces was greater, `base_N` or `base_N + step_N`.
+    """Return the share of right answers to which of two forces was greater, `base_N` or `base_N + step_N`.
 
     The distance d' grows with the step and is 0.954 (75 %) at the threshold weber (base + offset), which is Weber's law
     with its term for low forces. Arguments broadcast.
@@ -103,14 +103,14 @@ class Intensity:
     scatter: float = 0.0
 
     def expected(self, force_N: ArrayLike) -> Array:
-        """E[S] for sizes of force [N] of any shape; 0 at 0."""
+        """Return E[S] for sizes of force [N] of any shape; 0 at 0."""
         x = _logarithm(force_N)
         with np.errstate(invalid="ignore"):
             mean = np.exp(self.log_alpha + self.beta * x + 0.5 * self._variance(x))
         return np.where(np.isfinite(x), mean, 0.0)
 
     def spread(self, force_N: ArrayLike) -> Array:
-        """Standard deviation of S for sizes of force [N] of any shape; 0 at 0."""
+        """Return the standard deviation of S for sizes of force [N] of any shape; 0 at 0."""
         x = _logarithm(force_N)
         with np.errstate(invalid="ignore"):
             relative = np.expm1(self._variance(x)) * (1.0 + self.scatter) + self.scatter
@@ -118,7 +118,7 @@ class Intensity:
         return np.where(np.isfinite(x), deviation, 0.0)
 
     def force_N(self, intensity: ArrayLike) -> Array:
-        """Force [N] whose expected intensity is the one given, for intensities of any shape; 0 for 0.
+        """Return the force [N] whose expected intensity is the one given, for intensities of any shape; 0 for 0.
 
         ln E[S] is quadratic in ln F with curvature Var[beta] >= 0; the branch that rises with the force is taken.
 
@@ -145,13 +145,13 @@ class Intensity:
         return np.where(wanted > 0.0, found, 0.0)
 
     def _variance(self, x: Array) -> Array:
-        """v = Var[ln alpha + beta x]."""
+        """Return v = Var[ln alpha + beta x]."""
         alpha, both, beta = self.variances
         return np.asarray(alpha + 2.0 * both * x + beta * x * x)
 
 
 def intensity_of(observer: Observer) -> Intensity:
-    """What is known of an observer's intensities."""
+    """Return the intensity law of an observer with its uncertainty."""
     (alpha, both), (_, beta) = observer.covariance[:2, :2].tolist()
     return Intensity(
         log_alpha=float(observer.mean[0]),
@@ -162,7 +162,7 @@ def intensity_of(observer: Observer) -> Intensity:
 
 
 def _logarithm(force_N: ArrayLike) -> Array:
-    """ln F for sizes of force; minus infinity for no force."""
+    """Return ln F for sizes of force; minus infinity for no force."""
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(force_N))
 
@@ -190,7 +190,7 @@ class Weber:
         require_range("offset", self.offset, 1e-6, 1e6, "use 0.2 for force in N")
 
     def threshold(self, level: ArrayLike) -> Array:
-        """Smallest change that is felt at levels of any shape, in their unit.
+        """Return the smallest change that is felt at levels of any shape, in their unit.
 
         Raises
         ------
@@ -204,7 +204,7 @@ class Weber:
 
 
 def weber(quantity: str) -> Weber:
-    """The population's median threshold of force [N], torque [N m] or stiffness [N/m], from ``perception.toml``.
+    """Return the population's median threshold of force [N], torque [N m] or stiffness [N/m], from ``perception.toml``.
 
     Raises
     ------
@@ -218,7 +218,7 @@ def weber(quantity: str) -> Weber:
 
 
 def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
-    """An observer's threshold of force [N], at a quantile of what is known of the fraction.
+    """Return an observer's threshold of force [N], at a quantile of what is known of the fraction.
 
     A quantile below one half gives a threshold that is rather too small than too great: at 0.1 the person's own lies
     above it with a probability of 90 %.

@@ -41,7 +41,7 @@ class LogTable:
         self._above = float(values[-1]) / self._last
 
     def at(self, force_N: float) -> float:
-        """The function at a force of at least 0 [N]."""
+        """Return the function at a force of at least 0 [N]."""
         if force_N < self._first:
             return self._below * force_N
         if force_N >= self._last:
@@ -109,12 +109,12 @@ class ForceMap:
         self.spread = LogTable(felt, np.maximum(observer.spread(felt), 1e-12))
 
     def command_N(self, force_N: ArrayLike) -> Array:
-        """Sizes of force to command [N] for sizes of force at the device [N], exactly, of any shape."""
+        """Return the sizes of force to command [N] for sizes of force at the device [N], exactly, of any shape."""
         forces = np.asarray(force_N, dtype=float)
         first = self.forces_N[0]
         straight = forces * float(self._exact(first)) / first
         return np.where(forces < first, straight, self._exact(np.maximum(forces, first)))
 
     def _exact(self, force_N: ArrayLike) -> Array:
-        """The inverse by closed form, without the straight line."""
+        """Return the inverse by closed form, without the straight line."""
         return self._observer.force_N(self._reference.expected(self.gain * np.asarray(force_N, dtype=float)))

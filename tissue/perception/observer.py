@@ -52,7 +52,7 @@ WIDEST = 10.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observer:
-    """What is known of a person: a normal posterior of (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma).
+    """Knowledge about a person: a normal posterior of (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma).
 
     In these coordinates every draw is a possible person: factor, thresholds and scatter are positive (E6), lapses lie
     between 0 and 1.
@@ -153,7 +153,7 @@ class Observer:
         return exp(self.mean[5])
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Possible values of every parameter, each of shape (count,), drawn together."""
+        """Return the possible values of every parameter, each of shape (count,), drawn together."""
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(values.clip(0.0))
         drawn = self.mean + rng.standard_normal((count, 6)) @ root.T
@@ -226,7 +226,7 @@ def read_observer(path: Path) -> Observer:
 
 
 def _from(parameter: str, coordinate: Array | np.float64) -> Array:
-    """The value at a coordinate."""
+    """Return the value at a coordinate."""
     if parameter == "lapse":
         return np.asarray(expit(coordinate))
     return np.asarray(coordinate if parameter == "beta" else np.exp(np.minimum(coordinate, log(1e300))))
@@ -264,7 +264,7 @@ class Population:
     sigma_shape: float
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Parameters of so many people, each of shape (count,), by the names of an observer's parameters."""
+        """Return the parameters of so many people, each of shape (count,), by the names of an observer's parameters."""
         normal = rng.standard_normal((5, count))
         scale = (self.sigma_shape - 1.0) * self.sigma**2
         return {
@@ -277,7 +277,7 @@ class Population:
         }
 
     def observer(self) -> Observer:
-        """What is known of a person of whom nothing is: the population in the coordinates of an observer.
+        """Return an observer for an unknown person: the population in the coordinates of an observer.
 
         All is exact but for sigma, of whose logarithm mean and variance are kept.
         """
@@ -302,13 +302,13 @@ class Population:
 
 
 def population() -> Population:
-    """The population of ``perception.toml``."""
+    """Return the population of ``perception.toml``."""
     known = {name: entry.value for name, entry in constants("perception", "force").items()}
     return Population(**{name: known[name] for name in Population.__dataclass_fields__})
 
 
 def population_observer() -> Observer:
-    """What is known of a person of whom nothing is."""
+    """Return an observer for an unknown person: the population."""
     return population().observer()
 
 

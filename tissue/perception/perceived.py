@@ -73,12 +73,12 @@ class Deadband:
         return True
 
     def forget(self) -> None:
-        """The next vector counts as a change."""
+        """Count the next vector as a change."""
         self._fresh = True
 
 
 def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
-    """A recorded sequence of vectors, shape (n, 3), as a deadband plays it, and where it changed, shape (n,)."""
+    """Apply a deadband to recorded vectors, shape (n, 3); return them and where they changed, shape (n,)."""
     deadband = Deadband(law)
     played = np.empty_like(wanted, dtype=float)
     changes = np.zeros(len(wanted), dtype=bool)
@@ -89,7 +89,7 @@ def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
 
 
 class Sense:
-    """What a person takes a force for: a noisy look at it every tick, averaged by the steady filter.
+    """Estimate of a force by a person: a noisy look every tick, averaged by the steady filter.
 
     The gain is that of the time over which force is averaged, 1 - exp(-T / tau), and the noise of a look is such that
     the estimate of a constant force scatters by the threshold: a change of one threshold is d' = 0.954 from none.
@@ -112,7 +112,7 @@ class Sense:
         self._level = self.force_N = 0.0
 
     def at(self, force_N: float) -> LocalLevel:
-        """The filter that this sense is at a force [N]."""
+        """Return the filter that this sense is at a force [N]."""
         noise = (self._noise_ratio * self._kappa * (force_N + self._offset)) ** 2
         return LocalLevel(wander=self.gain**2 * noise / (1.0 - self.gain), noise=noise)
 
@@ -127,7 +127,7 @@ class Sense:
 
 
 class PerceivedForce:
-    """The contract `tissue.perception.perception.Perception`: what shall be felt in, what to command out.
+    """Perceptual scaling by the contract `tissue.perception.perception.Perception`.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ class PerceivedForce:
         self.above = False
 
     def step(self, force_N: Array) -> Array:
-        """Force to command [N], shape (3,); the array is overwritten by the next step.
+        """Return the force to command [N], shape (3,); the array is overwritten by the next step.
 
         Raises
         ------
@@ -179,6 +179,6 @@ class PerceivedForce:
         return deadband.held
 
     def pause(self) -> None:
-        """No sample came: nothing is commanded, and the next force counts as a change."""
+        """Reset after a missing sample: command nothing, and count the next force as a change."""
         self.deadband.forget()
         self.above = False

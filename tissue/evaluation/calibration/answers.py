@@ -1,4 +1,4 @@
-"""Who answers a session: a simulated observer, or a person at the keyboard who feels forces on a device."""
+"""Answers of a session: a simulated observer, or a person at the keyboard who feels forces on a device."""
 
 from collections.abc import Callable
 from math import cos, inf, pi
@@ -41,7 +41,7 @@ PAUSE_S = 0.4
 
 
 class StoppedError(Exception):
-    """The person wants to go on another time."""
+    """Raised when a person stops a session."""
 
 
 def play(
@@ -164,7 +164,7 @@ class Person:
 
 
 def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
-    """The one observer that simulated:SEED or simulated:GROUP:SEED names, and the seed.
+    """Return the one observer that simulated:SEED or simulated:GROUP:SEED names, and the seed.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
 def questioner(
     observer: str | None, device: str, *, seed: int, read: Callable[[], str], show: Callable[[str], None]
 ) -> tuple[Answer, float]:
-    """Who answers, and the greatest force of the device [N]: a simulated observer, or a person at the keyboard.
+    """Return the answers of a simulated observer or of a person, and the largest force of the device [N].
 
     Raises
     ------
@@ -217,7 +217,7 @@ def questioner(
 
 
 def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:
-    """The log of a session, begun or gone on with.
+    """Open the log of a session, new or continued.
 
     Raises
     ------

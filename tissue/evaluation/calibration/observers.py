@@ -98,18 +98,18 @@ class SimulatedObservers:
         return self.discriminate(D_PRIME_75 * np.asarray(step_N) / threshold, rng)
 
     def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """Whether each discriminates two intervals that lie a distance d' from each other, shape (n,)."""
+        """Return whether each discriminates two intervals that lie a distance d' from each other, shape (n,)."""
         first = self._noise(rng)
         second = self._noise(rng)
         blind, guess = rng.random((2, len(self)))
         return np.where(blind < 2.0 * self.lapse, guess < 0.5, np.asarray(distance) + second > first)
 
     def number(self, force_N: ArrayLike, rng: np.random.Generator) -> Array:
-        """Number that each gives to a force [N], shape (n,)."""
+        """Return the number that each gives to a force [N], shape (n,)."""
         return self.alpha * np.asarray(force_N) ** self.beta * np.exp(self.sigma * self._noise(rng))
 
     def _noise(self, rng: np.random.Generator) -> Array:
-        """Noise of unit variance, shape (n,)."""
+        """Draw noise of unit variance, shape (n,)."""
         if np.isinf(self.freedom):
             return rng.standard_normal(len(self))
         return rng.standard_t(self.freedom, len(self)) * sqrt((self.freedom - 2.0) / self.freedom)
@@ -243,14 +243,14 @@ def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) 
 
 
 def _played(force_N: Array, device: ForceRange) -> Array:
-    """Sizes of force as the device plays them [N], any shape: `ForceRange.play` for many."""
+    """Return the sizes of force as the device plays them [N], any shape: `ForceRange.play` for many."""
     knee = device.knee_share * device.limit_N
     above = device.limit_N - knee
     return np.where(force_N <= knee, force_N, knee - above * np.expm1(-np.maximum(force_N - knee, 0.0) / above))
 
 
 def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Effect:
-    """Change of the mean of paired shares of right answers, each of shape (n,), in percent of what it was.
+    """Return the change of the mean of paired shares of right answers, each of shape (n,), in percent of what it was.
 
     The interval of 95 % is by drawing people again.
     """

@@ -24,7 +24,7 @@ __all__ = ["fit_population", "new_person", "pooled_trials"]
 
 
 def pooled_trials(sessions: list[Session]) -> PopulationTrials:
-    """Trials of many sessions, end to end."""
+    """Return the trials of many sessions, end to end."""
     compared = [(who, asked, answer) for who, each in enumerate(sessions) for asked, answer in each.asked]
     numbers = [(who, force, number) for who, each in enumerate(sessions) for force, number in each.given]
     return PopulationTrials(
@@ -40,7 +40,7 @@ def pooled_trials(sessions: list[Session]) -> PopulationTrials:
 
 
 def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> Observer:
-    """What is known of a person of the population who was not asked: between people and what is not known of them."""
+    """Return an observer for a person of the population who was not asked, with the spread between people."""
     flat = {name: fit.draws[name].ravel() for name in HYPER}
     count = len(flat["beta"])
 

@@ -1,4 +1,4 @@
-"""What a session knows: the posterior of the threshold as text while it goes on, and as a picture at its end."""
+"""Display of a session: posterior of the threshold as text while it runs, and as a picture at its end."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ GREY = "0.6"
 
 
 def posterior_panel(session: Session) -> "Panel":
-    """The posterior of the Weber fraction as bars of text, with what is known under it."""
+    """Return the posterior of the Weber fraction as bars of text, with the estimates under it."""
     from rich.panel import Panel
 
     masses = session.threshold.weber_masses()[:, 0]
@@ -68,7 +68,7 @@ def _posterior(session: Session, axes: "Axes") -> None:
 
 
 def _answers(session: Session, axes: "Axes") -> None:
-    """Shares of right answers over the step in thresholds, in bins of equal count."""
+    """Draw the shares of right answers over the step in thresholds, in bins of equal count."""
     weber, offset, lapse = (float(get()[0]) for get in (
         lambda: session.threshold.weber()[0], session.threshold.offset_N, session.threshold.lapse))  # fmt: skip
     steps = np.array([asked.step_N / (weber * (asked.base_N + offset)) for asked, _ in session.asked])
@@ -105,6 +105,6 @@ def _numbers(session: Session, axes: "Axes") -> None:
 
 
 def _ticks(axes: "Axes", ticks: list[float]) -> None:
-    """Marks of a logarithmic axis."""
+    """Set the ticks of a logarithmic axis."""
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_xticks([], minor=True)

@@ -19,7 +19,7 @@ VERSION = 1
 
 
 def log_path(out: Path) -> Path:
-    """Where the trials of an observer's file are logged, beside it: observer.json has observer.trials.jsonl."""
+    """Return the path of the trial log next to an observer's file: observer.json has observer.trials.jsonl."""
     return out.with_name(out.stem + ".trials.jsonl")
 
 
@@ -96,7 +96,7 @@ class TrialLog:
 
 
 def read_log(path: Path) -> tuple[str, Session]:
-    """Who answered, and the session as a file restores it; a line that was cut short at the end is left out.
+    """Read a log: return who answered, and the session without a last line that was cut short.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def read_log(path: Path) -> tuple[str, Session]:
 
 
 def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
-    """A line's trial, answer and number."""
+    """Return a line's trial, answer and number."""
     entry = read_json(line)
     if not isinstance(entry, dict):
         raise ValueError(f"{line[:40]}")
@@ -156,7 +156,7 @@ def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
 
 
 def _difference(who: str, held: Plan, observer: str, plan: Plan) -> str:
-    """What differs between the session in a file and the one that was asked for."""
+    """Return the difference between the session in a file and the requested one."""
     if who != observer:
         return f"observer {who} instead of {observer}"
     name = next(name for name in vars(plan) if getattr(held, name) != getattr(plan, name))

@@ -122,7 +122,7 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
 
 
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
-    """The mixed model over all tasks, each test with the exact one of its stratum and those that rest on less.
+    """Fit the mixed model over all tasks, each test with the exact one of its stratum and those that rest on less.
 
     A question whose stratum holds no variation keeps the model's test alone.
     """
@@ -143,7 +143,7 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
 
 
 def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator) -> HypothesisTest:
-    """The exact test of one effect with its checks, and the tests that rest on less.
+    """Test one effect exactly, with its checks and the tests that rest on less.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
 
 
 def _sizes(samples: Sequence[Array] | Array, names: Sequence[str], *, paired: bool) -> tuple[Effect, ...]:
-    """Cohen's d of every pair of samples."""
+    """Return Cohen's d of every pair of samples."""
     found = []
     for (before, first), (after, second) in combinations(zip(names, samples, strict=True), 2):
         size = cohens_d(second, first, paired=paired)
@@ -213,14 +213,14 @@ def _sizes(samples: Sequence[Array] | Array, names: Sequence[str], *, paired: bo
 
 
 def _sphericity(scores: Array, groups: Ints, epsilon: float) -> Assumption:
-    """Mauchly's test, with Greenhouse and Geisser's epsilon."""
+    """Run Mauchly's test, with Greenhouse and Geisser's epsilon."""
     p = mauchly(scores, groups)
     # NaN, where users are too few for the test, counts as not shown.
     return Assumption("sphericity", bool(p >= ALPHA), f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}")
 
 
 def _equal_variances(scores: Array, groups: Ints) -> Assumption:
-    """Levene's test about medians (Brown and Forsythe 1974), the least p of the columns, by Bonferroni."""
+    """Run Levene's test about medians (Brown and Forsythe 1974): smallest p of the columns, by Bonferroni."""
     found = levene(*(scores[groups == group] for group in range(groups.max() + 1)), axis=0).pvalue
     p = min(1.0, len(found) * float(found.min()))
     return Assumption("equal variances of groups", p >= ALPHA, f"Brown-Forsythe {format_p(p)}")
@@ -271,7 +271,7 @@ def tukey_groups(samples: Sequence[ArrayLike], names: Sequence[str], *, metric: 
 
 
 def tukey_levels(values: Array, names: Sequence[str], groups: Ints, *, metric: str) -> tuple[HypothesisTest, ...]:
-    """Every pair of levels that all users met, by Tukey; each with the paired t test, corrected by Holm.
+    """Compare every pair of levels that all users met by Tukey's test, and by paired t tests corrected by Holm.
 
     The error is how differently users take the levels (their interaction), pooled over levels, which needs sphericity;
     the paired test does not.
@@ -327,5 +327,5 @@ def corrected(p_values: Sequence[float], correction: Literal["bonferroni", "holm
 
 @cache
 def _critical(count: int, below: float) -> float:
-    """Studentized range that :data:`LEVEL` of families stay under; a third of a second each, so kept."""
+    """Return the studentized range that :data:`LEVEL` of families stay below; cached, as it takes 0.3 s."""
     return float(studentized_range.ppf(LEVEL, count, below))

@@ -119,7 +119,7 @@ class HypothesisTest:
 
 
 def format_p(p: float) -> str:
-    """A p value as a reader expects it."""
+    """Return a p value as a reader expects it."""
     if not np.isfinite(p):
         return "p unknown"
     return "p < 0.0001" if p < 1e-4 else f"p = {p:.4f}"
@@ -171,7 +171,7 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
 
 
 def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
-    """Share of variation that an effect explains beside its error, from F (Cohen 1973).
+    """Return the share of variation that an effect explains beside its error, from F (Cohen 1973).
 
     The interval (Steiger 2004) is L / (L + above + below + 1) of the noncentralities L of F at its ends.
 
@@ -201,7 +201,7 @@ def _noncentrality(statistic: float, above: float, below: float, chance: float) 
 
 
 def normal_residuals(residuals: ArrayLike, *, name: str = "normal residuals") -> Assumption:
-    """Normality as an assumption of another test: refused where a test refuses it at half the usual chance.
+    """Check normality as an assumption: refused where one of two tests refuses it at half the usual chance.
 
     The tests are Shapiro and Wilk's (1965), p by Royston (1995), for up to 5,000 values, and Anderson and Darling's
     (1952) with estimated mean and variance (Stephens 1986), for 8 or more. In a large sample the slightest departure is

@@ -63,7 +63,7 @@ def multivariate(
     rng: np.random.Generator,
     permutations: int = 1999,
 ) -> HypothesisTest:
-    """Multivariate analysis of variance by statsmodels, with its checks and its permutation test.
+    """Run a multivariate analysis of variance by statsmodels, with its checks and its permutation test.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def multivariate(
 
 
 def _equal_covariances(scores: Array, groups: Ints) -> Assumption:
-    """Box's (1949) M test, by statsmodels."""
+    """Run Box's (1949) M test, by statsmodels."""
     from statsmodels.stats.multivariate import test_cov_oneway
 
     counts = np.bincount(groups)

@@ -32,7 +32,7 @@ POINTS = 800
 
 
 def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Normalised L2 error ||F - F_ideal|| / ||F_ideal|| over all ticks and components; 0 is perfect.
+    """Compute the normalised L2 error ||F - F_ideal|| / ||F_ideal|| over all ticks and components.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
 
 def excess_error(error: float, least_error: float) -> float:
-    """What is left of an error beside the least one: sqrt(error^2 - least^2), 0 where it is no greater.
+    """Compute the excess over the least error, sqrt(error^2 - least^2); 0 where the error is smaller.
 
     The least error is that of a perfect force through the same device. Errors that do not depend on each other add in
     squares, so this is the part that a better force could save.
@@ -61,7 +61,7 @@ def excess_error(error: float, least_error: float) -> float:
 
 
 def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Mean over ticks of the size of the force's error [N]; arguments as for :func:`force_error`."""
+    """Return the mean over ticks of the size of the force's error [N]; arguments as for :func:`force_error`."""
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     return float(np.linalg.norm(force - ideal, axis=1).mean())
 
@@ -73,7 +73,7 @@ def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
 
 def latency_ms(force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest_ms: float = 50.0) -> float:
-    """How far the played force lags the ideal one [ms]: the shift at which the two correlate best.
+    """Compute the lag of the played force behind the ideal one [ms]: the shift of best correlation.
 
     The correlation is taken over the overlap, its peak by a parabola through three shifts. A force that leads, as a
     predicted one may, gives a negative value.
@@ -114,7 +114,7 @@ def latency_ms(force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest
 
 
 def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Mean size of the change of acceleration from tick to tick [m/s^2]; lower is smoother.
+    """Return the mean size of the change of acceleration from tick to tick [m/s^2]; lower is smoother.
 
     This is the published "smoothness index" as its formula prints it: mean |dv[i+1]/dt - dv[i]/dt|. It is a jerk times
     the tick, so it is compared only between trials of one tick, and it grows with roughness, though its published
@@ -186,12 +186,12 @@ def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
 
 
 def overshoot_mm(depth_mm: ArrayLike, *, target_mm: float) -> float:
-    """How far the tip went beyond its target depth [mm], zero if it did not; `depth_mm` has shape (ticks,)."""
+    """Compute the overshoot of the tip beyond its target depth [mm], at least 0; `depth_mm` has shape (ticks,)."""
     return max(0.0, float(_signal("depth_mm", depth_mm, at_least=1).max()) - target_mm)
 
 
 def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
-    """How much deeper the tip went after a puncture than it was then [mm]; `depth_mm` has shape (ticks,).
+    """Compute the travel of the tip beyond its depth at a puncture [mm]; `depth_mm` has shape (ticks,).
 
     Raises
     ------
@@ -205,7 +205,7 @@ def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
 
 
 def _correlation(force: Array, ideal: Array, shift: int) -> float:
-    """Correlation of force[t + shift] with ideal[t] over the ticks that both have."""
+    """Return the correlation of force[t + shift] with ideal[t] over the ticks that both have."""
     late, early = (force[shift:], ideal[: len(ideal) - shift]) if shift >= 0 else (force[:shift], ideal[-shift:])
     late = late - late.mean(axis=0)
     early = early - early.mean(axis=0)
@@ -214,7 +214,7 @@ def _correlation(force: Array, ideal: Array, shift: int) -> float:
 
 
 def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
-    """Samples as an array of shape (ticks, components), all finite."""
+    """Return the samples as an array of shape (ticks, components), all finite."""
     array = np.asarray(values, dtype=float)
     if array.ndim not in (1, 2) or len(array) < at_least:
         raise InputError(
@@ -228,7 +228,7 @@ def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
 
 
 def _pair(first_name: str, first: ArrayLike, second_name: str, second: ArrayLike) -> tuple[Array, Array]:
-    """Two signals of one shape."""
+    """Return two signals of one shape."""
     one = _signal(first_name, first, at_least=1)
     other = _signal(second_name, second, at_least=1)
     if one.shape != other.shape:
@@ -240,7 +240,7 @@ def _pair(first_name: str, first: ArrayLike, second_name: str, second: ArrayLike
 
 
 def aligned_rows(path: Array, model: Array) -> Ints:
-    """Row of the model that each row of a path corresponds to, never falling (Sakoe and Chiba 1978).
+    """Return the row of the model that each row of a path corresponds to, never falling (Sakoe and Chiba 1978).
 
     The sum of distances over pairs is smallest among all orders of passing through both paths without going back. Both
     start at their first points. The alignment may end before the last point of the model, because a path that is
@@ -292,7 +292,7 @@ def aligned_rows(path: Array, model: Array) -> Ints:
 
 
 def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
-    """Distance of each point from the model's path near its aligned row [mm], shape (n,).
+    """Return the distance of each point from the model's path near its aligned row [mm], shape (n,).
 
     Parameters
     ----------

@@ -162,7 +162,7 @@ def _convergence(reported_convergence: bool, found: Components, caught: list[war
 
 
 def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
-    """Degrees of freedom of the stratum of a term or coefficient: users times what changes within them."""
+    """Return the degrees of freedom of the stratum of a term or coefficient: users times what changes within them."""
     levels = fitted.model.data.frame.nunique()
     for factor in ("task", "method"):
         free *= int(levels[factor]) - 1 if f"C({factor}" in name else 1
@@ -170,7 +170,7 @@ def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
 
 
 def _coefficients(fitted: "MixedLMResults", scale: float, free: int) -> tuple[Effect, ...]:
-    """Fixed effects in the metric's unit."""
+    """Return the fixed effects in the metric's unit."""
     found = []
     for name, value, error in zip(fitted.fe_params.index, fitted.fe_params, fitted.bse_fe, strict=True):
         half = float(t.ppf(0.5 * (1.0 + LEVEL), _freedom(fitted, name, free))) * error
@@ -181,7 +181,7 @@ def _coefficients(fitted: "MixedLMResults", scale: float, free: int) -> tuple[Ef
 def _tests(
     fitted: "MixedLMResults", metric: str, free: int, assumptions: tuple[Assumption, ...]
 ) -> list[HypothesisTest]:
-    """Wald's F of every effect, in its stratum."""
+    """Return Wald's F of every effect, in its stratum."""
     found = []
     for term, row in fitted.wald_test_terms(scalar=True).table.iterrows():
         if term == "Intercept":
@@ -205,13 +205,13 @@ def _tests(
 
 
 def _normal_users(fitted: "MixedLMResults") -> list[Assumption]:
-    """Normality of the estimated effects of users, where there are enough and they are not all zero."""
+    """Check normality of the estimated effects of users, where there are enough and they are not all zero."""
     users = np.array([float(each.iloc[0]) for each in fitted.random_effects.values()])
     return [normal_residuals(users, name="normal users")] if len(users) >= 8 and np.ptp(users) > 1e-9 else []
 
 
 def _plain(name: str) -> str:
-    """A term of the formula as a person reads it."""
+    """Return a term of the formula as a person reads it."""
     return name.replace("C(", "").replace(", Sum)", "").replace("[S.", " ").replace("]", "").replace(":", " x ")
 
 

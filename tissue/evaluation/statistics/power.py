@@ -1,4 +1,4 @@
-"""How often the tests of a study err: thousands of simulated or redrawn populations at once."""
+"""Error rates of the tests of a study: thousands of simulated or redrawn populations at once."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ TESTS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), 
 
 @dataclass(frozen=True)
 class Power:
-    """How often one test rejects.
+    """Rejection rates of one test.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Power:
 
 
 def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
-    """Users drawn with replacement, as many in each group as it has, in the order of groups.
+    """Draw users with replacement, as many in each group as it has, in the order of groups.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
 
 
 def redrawn_power(cells: Cells, *, rng: np.random.Generator, populations: int = POPULATIONS) -> tuple[Power, ...]:
-    """Error rates with users drawn again from a study, whatever their distribution.
+    """Estimate the error rates with users drawn again from a study, whatever their distribution.
 
     The null hypothesis is made true by taking the means of each group and method out; what is left of n users is
     stretched by sqrt(n / (n - 1)), since redrawn users vary by that much less than new ones. Power is that of finding
@@ -96,7 +96,7 @@ def redrawn_power(cells: Cells, *, rng: np.random.Generator, populations: int = 
 
 
 def rejection_rates(null: Array, planted: Array, groups: Ints) -> tuple[Power, ...]:
-    """Shares of populations in which each test rejects.
+    """Return the shares of populations in which each test rejects.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def rejection_rates(null: Array, planted: Array, groups: Ints) -> tuple[Power, .
 
 
 def _share(rejects: NDArray[np.bool_]) -> Effect:
-    """Share of populations with Wilson's interval (Wilson 1927)."""
+    """Return the share of populations with Wilson's interval (Wilson 1927)."""
     found = binomtest(int(rejects.sum()), len(rejects))
     return Effect("share", found.statistic, *map(float, found.proportion_ci(LEVEL, "wilson")))
 

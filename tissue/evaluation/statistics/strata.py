@@ -60,7 +60,7 @@ def group_means(values: Array, groups: Ints) -> Array:
 
 
 def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
-    """Scores of every user on orthonormal contrasts of one effect within users.
+    """Compute the scores of every user on orthonormal contrasts of one effect within users.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def strata(
 
 
 def mauchly(scores: Array, groups: Ints) -> float:
-    """Chance of so uneven a covariance of contrasts under sphericity (Mauchly 1940), 1 for one contrast.
+    """Run Mauchly's (1940) test: chance of so uneven a covariance under sphericity, 1 for one contrast.
 
     Parameters
     ----------
@@ -303,5 +303,5 @@ def permutation(
 
 
 def _samples(values: Array, groups: Ints) -> list[Array]:
-    """Values of each group."""
+    """Return the values of each group."""
     return [values[groups == group] for group in range(groups.max() + 1)]

@@ -35,14 +35,14 @@ PAPERS = {"penalty": CASES["overshoot_penalty_mm"], "koopman": CASES["overshoot_
 
 
 def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
-    """The case studies that the folder holds."""
+    """Return the case studies that the folder holds."""
     makers = {"needle": needle_section, "reaming": _reaming, "drilling": _drilling}
     tables = {task: case_table(folder, task) for task in makers}
     return [makers[task](table, seed) for task, table in tables.items() if table is not None]
 
 
 def _reaming(table: TrialTable, seed: int) -> Section:
-    """Tracking error in newtons at the reamer, distance from its path, and steps of torque."""
+    """Report tracking error in newtons at the reamer, distance from its path, and steps of torque."""
     rows = []
     papers = {"tracking_rms_N": CASES["reaming_rms_N"], "position_error_mm": CASES["reaming_position_mm"]}
     for method in methods_of(table):
@@ -76,7 +76,7 @@ def _reaming(table: TrialTable, seed: int) -> Section:
 
 
 def _drilling(table: TrialTable, seed: int) -> Section:
-    """Carious or sound, and latency at 400,000 rpm."""
+    """Report discrimination of carious and sound teeth, and latency at 400,000 rpm."""
     paper = CASES["drilling_latency_ms"]
     lags = {method: table.where(method=method).values("latency_ms") for method in methods_of(table)}
     rows = []
@@ -118,7 +118,7 @@ def travel_by_people(needle: TrialTable, method: str) -> Array:
 
 
 def median_interval(values: Array) -> tuple[float, float, float]:
-    """Median and its interval of at least 95 %, by ranks, so that values may be infinite.
+    """Return the median and its interval of at least 95 %, by ranks, so that values may be infinite.
 
     The interval reaches from the k-th smallest value to the k-th largest, k being the greatest for which a binomial
     count of n at 0.5 lies below k with at most 2.5 %; of fewer than six values there is none, and it is infinite.
@@ -133,7 +133,7 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 
 
 def needle_section(table: TrialTable, seed: int) -> Section:
-    """Travel by group and method, who notices, and capsule or parenchyma."""
+    """Report travel by group and method, who notices the puncture, and capsule or parenchyma."""
     rows = []
     for method, group in product(methods_of(table), (each for each in GROUPS if each in table.group)):
         part = table.where(method=method, group=group)
@@ -170,7 +170,7 @@ def needle_section(table: TrialTable, seed: int) -> Section:
 
 
 def _travel_text(travel_mm: float) -> str:
-    """A travel in words."""
+    """Return a travel as text."""
     return f"{travel_mm:.2f} mm" if isfinite(travel_mm) else "not noticed"
 
 
@@ -199,7 +199,7 @@ def _travels(shared: TrialTable) -> tuple[str, bytes]:
 
 
 def _middle(ordered: Array) -> float:
-    """Median of sorted values, of which some may be infinite."""
+    """Return the median of sorted values, of which some may be infinite."""
     low = ordered[(len(ordered) - 1) // 2]
     high = ordered[len(ordered) // 2]
     return float(low if low == high else 0.5 * (low + high))

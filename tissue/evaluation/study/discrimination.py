@@ -64,14 +64,14 @@ class Felt:
 
     @classmethod
     def over(cls, forces_N: Array, person: Picked, count: int) -> "Felt":
-        """Of trials, each of a person by number below ``count`` who all have one, shape (n,)."""
+        """Make one of trials, each of a person by number below ``count`` who all have one, shape (n,)."""
         trials: Array = np.bincount(person, minlength=count).astype(np.float64)
         means = np.bincount(person, forces_N, count).astype(np.float64) / trials
         squares = np.bincount(person, (forces_N - means[person]) ** 2, count)
         return cls(np.asarray(means), np.asarray(squares, dtype=np.float64), trials - 1.0)
 
     def of(self, who: Picked) -> "Felt":
-        """Of some people, who may come several times."""
+        """Return the forces of some people, who may come several times."""
         return Felt(self.means_N[who], self.squares_N2[who], self.free[who])
 
     @property
@@ -94,11 +94,11 @@ class FeltPair:
     more: Felt
 
     def of(self, who: Picked) -> "FeltPair":
-        """The pair of some people, who may come several times."""
+        """Return the pair of some people, who may come several times."""
         return FeltPair(self.less.of(who), self.more.of(who))
 
     def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
-        """Sensitivity d' and chance of a right answer of each observer, shape (n,) each.
+        """Return the sensitivity d' and chance of a right answer of each observer, shape (n,) each.
 
         Where the stiffer one has the smaller force at the skin, people who go by force are wrong: d' is below zero.
         """
@@ -131,7 +131,7 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
 
 
 def specimens(part: TrialTable) -> FeltPair | None:
-    """Forces at the skin on the first two specimens of a task, the softer first, of people who met both.
+    """Return the forces at the skin on the first two specimens of a task, the softer first, of people who met both.
 
     None where nobody met both, or nobody met one of them twice.
     """
@@ -146,13 +146,13 @@ def specimens(part: TrialTable) -> FeltPair | None:
 
 
 def sides(needle: TrialTable) -> FeltPair | None:
-    """Forces at the skin after and before the capsule's puncture; None where nobody has two trials."""
+    """Return the forces at the skin after and before the capsule's puncture; None where nobody has two trials."""
     people = needle.people()
     return _pair((needle.values("parenchyma_N"), people), (needle.values("capsule_N"), people))
 
 
 def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
-    """Right answers of simulated people by group [%]."""
+    """Return the right answers of simulated people by group [%]."""
     rngs = {group: np.random.default_rng([seed, index]) for index, group in enumerate(GROUPS)}
     people = {group: draw_observers(group, PEOPLE, rng) for group, rng in rngs.items()}
     return {group: 100.0 * float(pair.felt_by(each)[1].mean()) for group, each in people.items()}
@@ -210,7 +210,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
 
 
 def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
-    """Trials of a case study that did not fail, or None."""
+    """Return the trials of a case study that did not fail, or None."""
     try:
         table = folder.table(task).complete()
     except InputError:

@@ -214,7 +214,7 @@ def task_section(table: TrialTable) -> Section:
 
 
 def sensitivity_section(folder: StudyFolder) -> Section | None:
-    """Ratio of force errors, Koopman over penalty, with one parameter at another value."""
+    """Report the ratio of force errors, Koopman over penalty, with one parameter at another value."""
     tasks = folder.plan().compared
     base = [each for each in folder.trials() if each.key.group == MIDDLE and each.key.trial < SENSITIVITY_TRIALS]
     usual = _ratios(base, tasks)
@@ -244,7 +244,7 @@ def sensitivity_section(folder: StudyFolder) -> Section | None:
 
 
 def reference_section(folder: StudyFolder) -> Section | None:
-    """What the reference itself leaves open: its error against the finest model on the same motion."""
+    """Report the error of the reference against the finest model on the same motion."""
     errors: dict[str, list[float]] = {}
     for trial in folder.trials(variant=REFERENCE):
         errors.setdefault(trial.key.task, []).extend(100.0 * each for each in trial.values("reference_error").values())
@@ -262,7 +262,7 @@ def reference_section(folder: StudyFolder) -> Section | None:
 
 
 def speed_section(folder: StudyFolder) -> Section:
-    """Seconds a trial by task, as they were measured while the study ran."""
+    """Report the seconds a trial by task, as they were measured while the study ran."""
     plan = folder.plan()
     times: dict[str, list[float]] = {}
     for trial in folder.trials():
@@ -291,7 +291,7 @@ def _ratios(trials: Iterable[Trial], tasks: Sequence[str]) -> Array:
 
 
 def _mean_over(quotients: Array) -> float:
-    """Mean of the quotients that there are, one without any."""
+    """Return the mean of the quotients that there are, one without any."""
     known = quotients[np.isfinite(quotients)]
     return float(known.mean()) if len(known) else 1.0
 
@@ -301,7 +301,7 @@ def _as_text(ratio: float) -> str:
 
 
 def _picture(rows: Sequence[tuple[str, ...]], tasks: Sequence[str], usual: Array) -> bytes:
-    """Ratios by variant, one colour a task, the study's own as lines."""
+    """Draw the ratios by variant, one colour a task, the study's own as lines."""
     figure, (axes,) = drawing(9.0, 0.32 * len(rows) + 1.2)
     for at, (task, colour, mark) in enumerate(zip(tasks, ("#0072B2", "#D55E00", "#009E73"), "os^", strict=False)):
         places = np.arange(len(rows)) + APART * (at - 0.5 * (len(tasks) - 1))

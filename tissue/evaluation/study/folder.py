@@ -43,7 +43,7 @@ READ_TRIAL = TypeAdapter(Trial)
 
 @dataclass(frozen=True)
 class Stamp:
-    """What a trial's file states of its origin.
+    """Return the origin that a trial's file states.
 
     Attributes
     ----------
@@ -170,7 +170,7 @@ class StudyFolder:
             ) from None
 
     def stamp(self, key: TrialKey) -> Stamp:
-        """What a trial's file states of its origin."""
+        """Return the origin that a trial's file states."""
         try:
             held = dict(read_json(require_regular(self._file(key)).read_text("utf-8")))
         except (OSError, ValueError, TypeError, RecursionError):
@@ -180,11 +180,11 @@ class StudyFolder:
         return Stamp(plan_hash, code_hash, stated is None or stated == content_sha256(held))
 
     def has(self, key: TrialKey) -> bool:
-        """Whether a trial is there."""
+        """Return whether a trial is there."""
         return self._file(key).is_file()
 
     def read(self, key: TrialKey) -> Trial | None:
-        """A trial, or None where its file is missing or cut short."""
+        """Return a trial, or None where its file is missing or cut short."""
         try:
             trial = READ_TRIAL.validate_python(
                 read_json(require_regular(self._file(key)).read_text("utf-8")) | {"key": key}
@@ -218,7 +218,7 @@ class StudyFolder:
                 yield trial
 
     def table(self, *tasks: str) -> TrialTable:
-        """Table of the study's own trials of some tasks.
+        """Return the table of the study's own trials of some tasks.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class StudyFolder:
 
 
 def _is_row(row: Row) -> bool:
-    """Whether a row is of a method: its name, and numbers or the sentence of its failure."""
+    """Return whether a row is of a method: its name, and numbers or the sentence of its failure."""
     return "method" in row and all(
         isinstance(value, str) == (name in ("method", "failure")) for name, value in row.items()
     )

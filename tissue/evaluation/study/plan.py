@@ -84,7 +84,7 @@ class Task:
 
 
 def _scaled(nominal: Mapping[str, float], shares: Sequence[float]) -> tuple[Mapping[str, object], ...]:
-    """Specimens with numbers scaled by shares."""
+    """Return the specimens with numbers scaled by shares."""
     return tuple({name: share * value for name, value in nominal.items()} for share in shares)
 
 
@@ -264,7 +264,7 @@ class TrialKey:
 
     @classmethod
     def named(cls, name: str) -> "TrialKey":
-        """The trial of a name such as ``T1-novice-0007``.
+        """Return the trial of a name such as ``T1-novice-0007``.
 
         Raises
         ------
@@ -322,7 +322,7 @@ class Plan:
         return tuple(task for task in self.tasks if not TASKS[task].case)
 
     def all_trials(self) -> Iterator[TrialKey]:
-        """All trials, groups and tasks in turn, so that a study that is stopped is balanced."""
+        """Return all trials, groups and tasks in turn, so that a study that is stopped is balanced."""
         for trial in range(self.trials):
             for task in self.tasks:
                 for group in self.groups:
@@ -336,17 +336,17 @@ class Plan:
                     yield TrialKey(task, MIDDLE, trial, variant)
 
     def holds(self, other: "Plan") -> bool:
-        """Whether every trial of another plan is one of this, so that its folder can be gone on with."""
+        """Return whether every trial of another plan is one of this, so that its folder can be gone on with."""
         same = self.seed == other.seed and self.methods == other.methods
         wider = set(other.tasks) <= set(self.tasks) and set(other.groups) <= set(self.groups)
         return same and wider and other.trials <= self.trials and other.sensitivity <= self.sensitivity
 
     def rng(self, key: TrialKey) -> np.random.Generator:
-        """Generator of a trial; a variant has that of the trial it varies."""
+        """Return the generator of a trial; a variant has that of the trial it varies."""
         place = (list(TASKS).index(key.task), GROUPS.index(key.group), key.trial)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))
 
     def person(self, key: TrialKey) -> np.random.Generator:
-        """Generator of the person whose trial it is, the same in every task."""
+        """Return the generator of the person whose trial it is, the same in every task."""
         place = (1000, GROUPS.index(key.group), key.user)
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))

@@ -158,7 +158,7 @@ def pierce(
 
 
 class _Bystander:
-    """What shows a hand the tip and gives it its cue, and what ends a run."""
+    """Observer of a run that shows a hand the tip, gives it its cue, and ends the run."""
 
     timing_columns: tuple[str, ...] = ()
 
@@ -181,7 +181,7 @@ class _Bystander:
         self._needle = parts.tissue
 
     def before_tick(self, index: int) -> None:
-        """Nothing is waited for."""
+        """Return at once: nothing is waited for."""
 
     def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
         """Show and cue what is due; whether the run goes on."""
@@ -203,5 +203,5 @@ class _Bystander:
         return now < hand.stop_s + AFTER_S and hand.advance_m < self._length
 
     def on_end(self) -> list[tuple[float, str]]:
-        """When the hand noticed."""
+        """Return the time at which the hand noticed the puncture."""
         return [(self._hand.noticed_s, NOTICED)] if self._hand.noticed_s < inf else []

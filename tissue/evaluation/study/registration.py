@@ -129,7 +129,7 @@ def require_unchanged(folder: Path, held: list[Registration]) -> None:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, empty where it cannot be read."""
+    """Return SHA-256 of a file's bytes, empty where it cannot be read."""
     try:
         return sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -137,13 +137,13 @@ def file_sha256(path: Path) -> str:
 
 
 def content_sha256(content: Mapping[str, object]) -> str:
-    """SHA-256 of a trial's content; it finds a slip of an editor, not a person who computes it anew."""
+    """Return SHA-256 of a trial's content; it finds a slip of an editor, not a person who computes it anew."""
     return sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
 
 
 @cache
 def code_sha256() -> str:
-    """SHA-256 over the names and bytes of all code and constants of this installation."""
+    """Return SHA-256 over the names and bytes of all code and constants of this installation."""
     import kernels
     import meshes
     import tissue
@@ -158,7 +158,7 @@ def code_sha256() -> str:
 
 
 def planned_tests(plan: Plan) -> list[str]:
-    """Tests that the report of a plan makes, as task and question, such as ``T1 force_error: method``.
+    """Return the tests that the report of a plan makes, as task and question, such as ``T1 force_error: method``.
 
     Of every compared metric on every task each effect, then metrics together by multivariate analysis, then each metric
     over all tasks.
@@ -181,7 +181,7 @@ def planned_tests(plan: Plan) -> list[str]:
 
 
 def plan_text(plan: Plan) -> str:
-    """The plan as TOML; the same plan gives the same text under one version of tissue."""
+    """Return the plan as TOML; the same plan gives the same text under one version of tissue."""
     tests = planned_tests(plan)
     keys = list(plan.all_trials())
     people = min(plan.trials, USERS)
@@ -242,7 +242,7 @@ def _better(metric: str) -> str:
 
 
 def _effects(factors: list[str]) -> list[str]:
-    """Main effects and interactions of factors."""
+    """Return the main effects and interactions of factors."""
     return [" x ".join(chosen) for count in range(1, len(factors) + 1) for chosen in combinations(factors, count)]
 
 

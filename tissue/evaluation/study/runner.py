@@ -109,7 +109,7 @@ def _run_trials(plan: Plan, folder: StudyFolder, count: int, scheduler: str | No
 
 
 def _in_worker(plan: Plan, key: TrialKey) -> Trial:
-    """A trial, in a process that does nothing else."""
+    """Run a trial in a process that does nothing else."""
     trial = run_trial(plan, key)
     _keep_what_stays()
     return trial
@@ -123,7 +123,7 @@ def _keep_what_stays() -> None:
 
 
 class _Work:
-    """What is left of a plan."""
+    """Trials of a plan that are left."""
 
     def __init__(self, plan: Plan, folder: StudyFolder, report: Progress) -> None:
         self.plan = plan
@@ -175,7 +175,7 @@ class _Work:
         self.waiting.pop(trial.key, None)
 
     def _left(self) -> str:
-        """Time left, by what this session took for each trial."""
+        """Return the time left, by what this session took for each trial."""
         done = self._at_first - len(self.waiting)
         seconds = (perf_counter() - self._began) / max(1, done) * len(self.waiting)
         return f"{seconds:.0f} s left" if seconds < 100.0 else f"{seconds / 60.0:.0f} min left"

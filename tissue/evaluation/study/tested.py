@@ -27,7 +27,7 @@ Content = tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, ...], ...]]
 
 
 def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Every metric on every task, then metrics together; sizes of effects with their picture."""
+    """Test every metric on every task, then metrics together; report sizes of effects with their picture."""
     found: list[MetricComparison] = []
     outcomes: list[tuple[str, HypothesisTest]] = []
     same: dict[str, list[str]] = {}
@@ -68,7 +68,7 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
 
 
 def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, list[str]]:
-    """A task's trials without methods that give a metric of another's: there is no spread to test the two by."""
+    """Return a task's trials without methods that give a metric of another's: there is no spread to test the two by."""
     kept: list[str] = []
     left_out = []
     for method in methods_of(table):
@@ -81,14 +81,14 @@ def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, li
 
 
 def _equal(table: TrialTable, metric: str, one: str, other: str) -> bool:
-    """Whether a metric is the same under two methods, to a thousandth of its spread."""
+    """Return whether a metric is the same under two methods, to a thousandth of its spread."""
     first, second = (table.where(method=each).values(metric) for each in (one, other))
     both = np.isfinite(first) & np.isfinite(second)
     return bool((np.abs(first - second)[both] <= 1e-3 * first[both].std()).all())
 
 
 def _outcomes(outcomes: list[tuple[str, HypothesisTest]], remarks: list[str]) -> Section:
-    """All tests, their p corrected over the family."""
+    """List all tests, their p corrected over the family."""
     rows = tuple(
         (
             task,
@@ -120,7 +120,7 @@ def _outcomes(outcomes: list[tuple[str, HypothesisTest]], remarks: list[str]) ->
 
 
 def _pairs(found: list[MetricComparison]) -> Section:
-    """All pairs of methods and groups by Tukey, and sizes of effects."""
+    """List all pairs of methods and groups by Tukey, and sizes of effects."""
     rows = [
         (
             each.task,
@@ -152,7 +152,7 @@ def _pairs(found: list[MetricComparison]) -> Section:
 
 
 def _sizes_picture(sizes: list[tuple[str, Effect]]) -> bytes:
-    """Cohen's d with intervals, one a line, on a scale that holds large and small."""
+    """Draw Cohen's d with intervals, one a line, on a scale that holds large and small."""
     if not sizes:
         return b""
     figure, (axes,) = drawing(9.0, 0.24 * len(sizes) + 1.0)
@@ -170,7 +170,7 @@ def _sizes_picture(sizes: list[tuple[str, Effect]]) -> bytes:
 
 
 def _assumptions(outcomes: list[tuple[str, HypothesisTest]]) -> Section:
-    """What every test rests on."""
+    """List the assumptions of every test."""
     rows = tuple(
         (task, each.question, check.name, "yes" if check.holds else "no", check.finding)
         for task, each in outcomes
@@ -188,7 +188,7 @@ def _assumptions(outcomes: list[tuple[str, HypothesisTest]]) -> Section:
 
 
 def composite_section(table: TrialTable, rng: np.random.Generator) -> Content:
-    """The composite index of each method and its weights."""
+    """Report the composite index of each method and its weights."""
     index = composite_index(table, DIRECTIONS, rng=rng)
     rows = tuple(
         (what, each.name, f"{each.value:.3f}", f"{each.low:.3f}", f"{each.high:.3f}",
@@ -208,7 +208,7 @@ def composite_section(table: TrialTable, rng: np.random.Generator) -> Content:
 
 
 def regression_section(table: TrialTable, rng: np.random.Generator) -> Content:
-    """Task error on force error and latency: slopes by task."""
+    """Report the regression of task error on force error and latency: slopes by task."""
     rows = []
     remarks = []
     for task in tasks_of(table):
@@ -220,7 +220,7 @@ def regression_section(table: TrialTable, rng: np.random.Generator) -> Content:
 
 
 def power_section(table: TrialTable, rng: np.random.Generator) -> Content:
-    """Error rates of the tests with users drawn again 10,000 times, by task and test."""
+    """Report the error rates of the tests with users drawn again 10,000 times, by task and test."""
     rows = []
     remarks = []
     loose = []

@@ -80,7 +80,7 @@ PLAIN = Variant("", "", {})
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of a trial.
+    """Result of a trial.
 
     Attributes
     ----------
@@ -105,13 +105,13 @@ class Trial:
         return any("failure" in row for row in self.rows)
 
     def values(self, metric: str) -> dict[str, float]:
-        """A metric by the methods that have it."""
+        """Return a metric by the methods that have it."""
         return {str(row["method"]): float(row[metric]) for row in self.rows if metric in row}
 
 
 @dataclass(frozen=True)
 class TrialScene:
-    """What a trial is made of.
+    """Scenes and person of a trial.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
 
 
 def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
-    """Names of trials by method and sentence of a failure; one that happened at another time is the same."""
+    """Return the names of trials by method and sentence of a failure; one that happened at another time is the same."""
     found: dict[str, list[str]] = {}
     for trial in trials:
         for row in trial.rows:
@@ -162,17 +162,17 @@ def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
 
 
 def trial_seed(plan: Plan, key: TrialKey) -> int:
-    """Seed of a trial's scenes."""
+    """Return the seed of a trial's scenes."""
     return int(plan.rng(key).integers(2**62))
 
 
 def error_sentence(error: Exception) -> str:
-    """Kind and words of an error on one line."""
+    """Return the kind and words of an error on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
-    """Scenes of a trial, and its person, whose calibration is written to a file."""
+    """Return the scenes of a trial, and its person, whose calibration is written to a file."""
     rng = plan.rng(key)
     person = plan.person(key)
     task = TASKS[key.task]
@@ -210,7 +210,7 @@ def _force_scale(scene: Scene) -> float:
 
 
 def _all_specimens(task: str) -> list[Scene]:
-    """Scenes of a task with each of its specimens."""
+    """Return the scenes of a task with each of its specimens."""
     usual = TASKS[task]
     return [changed(load_scene(usual.scene), {**usual.changes, **each}) for each in usual.specimens]
 
@@ -222,7 +222,7 @@ def _stiffness_N_m(scene: Scene) -> float:
 
 
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:
-    """A person, and what the map fitted to their numbers; thresholds are known as they are."""
+    """Return a person, and what the map fitted to their numbers; thresholds are known as they are."""
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"
     alpha, beta, kappa, offset_N, lapse, sigma = (float(getattr(drawn, each)[0]) for each in PARAMETERS)
@@ -237,7 +237,7 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
 
 
 def _methods(plan: Plan, key: TrialKey) -> tuple[str, ...]:
-    """Methods of a trial; variants are run for the headline alone, the reference under one."""
+    """Return the methods of a trial; variants are run for the headline alone, the reference under one."""
     if not key.variant:
         return plan.methods
     wanted = ("penalty",) if key.variant == REFERENCE else ("penalty", "koopman")
@@ -245,7 +245,7 @@ def _methods(plan: Plan, key: TrialKey) -> tuple[str, ...]:
 
 
 def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
-    """Metrics of a trial under one method."""
+    """Return the metrics of a trial under one method."""
     scene = trial.scenes[method]
     person = trial.person
     if key.task == "needle":
@@ -262,7 +262,7 @@ def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
 
 
 def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict[str, float]:
-    """Metrics of a run, by name with their unit.
+    """Compute the metrics of a run, by name with their unit.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
 
 
 def _pierced(run: Run) -> dict[str, float]:
-    """How far the needle went on after the capsule's puncture, and the force before and after it.
+    """Return how far the needle went on after the capsule's puncture, and the force before and after it.
 
     A puncture that nobody notices is a result and no failure: ``noticed`` is 0 and the travel is that until the trial's
     end, the least that it can be. A hand that stops before the puncture pierced nothing that could be measured.
@@ -344,7 +344,7 @@ def _pierced(run: Run) -> dict[str, float]:
 
 
 def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
-    """Torque of a reamer while it cuts."""
+    """Return the torque of a reamer while it cuts."""
     torque = np.abs(run.trace["model_torque_z_Nm"][:-1][touching])
     windows = [part.mean() for part in np.array_split(torque, max(1, round(len(torque) * TICK_S / WINDOW_S)))]
     return {"torque_Nm": float(np.mean(windows)), "torque_scatter_Nm": float(np.std(windows))}
@@ -371,7 +371,7 @@ def intensity_ratios(skin_N: Array, nearest_N: Array, ideal_N: Array, person: Ob
         raise InputError("tool must touch for some tenths of a second in a trial, got less: look at the scene's path")
 
     def logarithm(force_N: Array) -> Array:
-        """Logarithm of the size of the mean force in each window in contact."""
+        """Return the logarithm of the size of the mean force in each window in contact."""
         means = np.array([part.mean(axis=0) for part in np.array_split(force_N, count)])
         return np.asarray(np.log(np.maximum(np.linalg.norm(means[met], axis=1), LEAST_N)))
 
@@ -386,7 +386,7 @@ def intensity_ratios(skin_N: Array, nearest_N: Array, ideal_N: Array, person: Ob
 
 
 def _from_path(tip_mm: Array, path_mm: Array) -> Array:
-    """Distance of tips from a path of straight legs [mm], shape (n,)."""
+    """Return the distance of tips from a path of straight legs [mm], shape (n,)."""
     nearest = np.full(len(tip_mm), np.inf)
     for start, end in pairwise(path_mm):
         leg = end - start

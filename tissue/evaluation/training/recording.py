@@ -35,7 +35,7 @@ DITHER_N = 1e-6
 
 @dataclass(frozen=True)
 class Recording:
-    """What a predictor sees of a run: one row a tick.
+    """Data of a run that a predictor sees: one row a tick.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Recording:
     true_position_m: Array | None = None
 
     def dithered_N(self) -> Array:
-        """The force with a little noise, the same every time."""
+        """Return the force with a little noise, the same every time."""
         return self.force_N + DITHER_N * np.random.default_rng(self.seed).standard_normal(self.force_N.shape)
 
     def episodes(self) -> list[Episode]:
@@ -78,7 +78,7 @@ class Recording:
 
 
 def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float = 1.0) -> Scene:
-    """The scene of a trial: hands, seeds and latencies in turn, nothing predicted, no stress beside the ticks.
+    """Return the scene of a trial: hands, seeds and latencies in turn, nothing predicted, no stress beside the ticks.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class Recorder:
         )
 
     def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
-        """The hand of a scene and what it meets."""
+        """Return the hand of a scene and what it meets."""
         organ = isinstance(scene.tool, Probe) and not isinstance(scene.anatomy, WallAnatomy) and not scene.organ.viscous
         if organ and self._organ is not None:
             motion, _ = hand_motion(scene, motion_of(scene, step_s=TICK_S), step_s=TICK_S, allow_unstable=True)

@@ -64,7 +64,7 @@ MARGIN = 3.0
 
 
 def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progress: Progress = silent) -> Trained:
-    """Predictors of a scene, trained on runs by hands of all groups and validated on runs held out.
+    """Train the predictors of a scene on runs by hands of all groups, and validate them on runs held out.
 
     The scene's own seed is not used: trial i has seed i.
 
@@ -89,7 +89,7 @@ def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progr
 
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
-    """With the best of the predictors without a lifted operator, by their mean errors on some runs."""
+    """Choose the fallback with the smallest mean error among the predictors without a lifted operator."""
     makers = {kind: partial(trained_predictor, kind, trained, force_limit_N=force_limit_N) for kind in FALLBACKS}
     runs = touching(runs)
     errors = {kind: forecast_errors(make, runs, horizons=(VALIDATED_AT,)).mean() for kind, make in makers.items()}
@@ -97,7 +97,7 @@ def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float)
 
 
 def validated(trained: Trained, held_out: list[Recording], force_limit_N: float) -> Trained:
-    """With the mean errors of all predictors on runs that were held out.
+    """Add the mean errors of all predictors on runs that were held out.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
 
 
 def fit(scene: str, runs: Sequence[Recording], *, lags: int = LAGS) -> Trained:
-    """Predictors of a scene from recorded runs; every axis of a run is an episode of its own.
+    """Fit the predictors of a scene to recorded runs; every axis of a run is an episode of its own.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def fit(scene: str, runs: Sequence[Recording], *, lags: int = LAGS) -> Trained:
 
 
 def growth_of(operator: Operator, runs: Sequence[Recording]) -> float:
-    """Mean square of scaled windows, all axes together, beyond which nothing was learnt."""
+    """Return the mean square of scaled windows, all axes together, beyond which nothing was learnt."""
     largest = 0.0
     for run in runs:
         scaled = [window(axis.states, operator.dictionary.lags) / operator.scale for axis in run.episodes()]
@@ -152,7 +152,7 @@ def growth_of(operator: Operator, runs: Sequence[Recording]) -> float:
 def forecast(
     predictor: Predictor, run: Recording, horizons: Sequence[float], *, model_ticks: int = 1
 ) -> tuple[Array, Array]:
-    """What a predictor gives in every tick, shape (n, horizons, 3) [N], and whether it is the primary's, shape (n,).
+    """Compute the forecasts of every tick, shape (n, horizons, 3) [N], and whether each is the primary's, shape (n,).
 
     It sees the force every `model_ticks`, and until the next one the contact of that tick, as it does in a loop.
     """
@@ -178,7 +178,7 @@ def forecast_errors(
     horizons: Sequence[float] = HORIZONS,
     model_ticks: int = 1,
 ) -> Array:
-    """||predicted - F|| / ||F|| of a new predictor on each run, shape (runs, horizons).
+    """Return ||predicted - F|| / ||F|| of a new predictor on each run, shape (runs, horizons).
 
     F is the reference force in the tick that was predicted, over all ticks that can be predicted.
 
@@ -198,5 +198,5 @@ def forecast_errors(
 
 
 def touching(runs: Sequence[Recording]) -> list[Recording]:
-    """The runs that have a force in ticks that can be predicted: a hand may come too late for a short scene."""
+    """Return the runs that have a force in ticks that can be predicted: a hand may come too late for a short scene."""
     return [run for run in runs if run.force_N[max(HORIZONS) :].any()]
