@@ -6,7 +6,8 @@ from scipy import stats
 from simulated_cells import simulated_cells
 
 from tissue.evaluation.statistics.hypothesis_test import cohens_d, partial_eta_squared
-from tissue.evaluation.statistics.mixed import Components, mixed_model, trial_regression
+from tissue.evaluation.statistics.mixed import Components, mixed_model
+from tissue.evaluation.statistics.regression import regression
 from tissue.evaluation.statistics.strata import strata
 from tissue.evaluation.statistics.trials import TrialTable
 
@@ -96,22 +97,13 @@ def trials_of(rng, *, users=15, rows=20, slopes=(0.5, -0.3), between=1.0):
     return value, columns, person
 
 
-def regression(values, columns, person):
-    same = np.full(len(person), "a")
-    table = TrialTable(
-        task=same, group=same, user=person.astype(str), trial=np.arange(len(person)), method=same,
-        seed=np.zeros(len(person)), failure=np.full(len(person), ""), metrics={"error": values, **columns},
-    )  # fmt: skip
-    return trial_regression(table, "error", tuple(columns))
-
-
 @pytest.mark.slow
-def test_intervals_of_slopes_cover():
+def test_credible_intervals_cover():
     rng = np.random.default_rng(6)
     held, shares = [], []
     for _ in range(300):
         values, columns, person = trials_of(rng)
-        found = regression(values, columns, person)
+        found = regression(values, columns, person, response="error")
         truth = [slope / each.std() for slope, each in zip((0.5, -0.3), columns.values(), strict=True)]
         held.append([each.low <= slope <= each.high for each, slope in zip(found.slopes, truth, strict=True)])
         shares.append(found.correlation)
@@ -119,21 +111,72 @@ def test_intervals_of_slopes_cover():
     assert np.mean(shares) == pytest.approx(0.5, abs=0.05)
 
 
+@pytest.mark.slow
+def test_a_slope_that_is_not_there_is_reported_above_zero_half_the_time():
+    rng = np.random.default_rng(7)
+    chances = []
+    for _ in range(300):
+        values, columns, person = trials_of(rng, slopes=(0.0, 0.0))
+        chances += regression(values, columns, person, response="error").chances[:1]
+    assert np.mean((np.array(chances) < 0.025) | (np.array(chances) > 0.975)) == pytest.approx(0.05, abs=0.038)
+    assert stats.kstest(chances, "uniform").pvalue > 1e-3
+
+
 def test_the_regression_does_not_know_units():
     values, columns, person = trials_of(np.random.default_rng(8))
-    once = regression(values, columns, person)
-    again = regression(1e3 * values + 7.0, {name: 1e-3 * each for name, each in columns.items()}, person)
+    once = regression(values, columns, person, response="error")
+    again = regression(
+        1e3 * values + 7.0, {name: 1e-3 * each for name, each in columns.items()}, person, response="error"
+    )
     for one, other in zip(once.slopes, again.slopes, strict=True):
         assert (other.value, other.low, other.high) == pytest.approx(
-            (1e6 * one.value, 1e6 * one.low, 1e6 * one.high), rel=1e-5
+            (1e6 * one.value, 1e6 * one.low, 1e6 * one.high), rel=1e-8
         )
 
 
-def test_with_users_far_apart_it_is_least_squares_within_users():
+def test_with_a_wide_prior_it_is_least_squares_within_users():
     """Far more variance between users than within: slopes are those of the columns with users' means taken out."""
     values, columns, person = trials_of(np.random.default_rng(9), between=50.0)
-    found = regression(values, columns, person)
+    found = regression(values, columns, person, response="error", slope_spread=1e4)
     out = lambda each: each - (np.bincount(person, each) / np.bincount(person))[person]  # noqa: E731
     least, *_ = np.linalg.lstsq(np.column_stack([out(each) for each in columns.values()]), out(values), rcond=None)
     assert [each.value for each in found.slopes] == pytest.approx(least, rel=2e-3)
-    assert found.correlation > 0.99
+
+
+@pytest.mark.slow
+def test_quadrature_agrees_with_chains():
+    """The same model by NUTS: medians and ends of intervals within the chains' own error."""
+    numpyro = pytest.importorskip("numpyro", reason="numpyro is not installed: it checks the quadrature by chains")
+    import jax
+    import numpyro.distributions as dist
+
+    rng = np.random.default_rng(10)
+    values, columns, person = trials_of(rng, users=10, rows=12)
+    ours = regression(values, columns, person, response="error")
+    matrix = np.column_stack(list(columns.values()))
+    design = (matrix - matrix.mean(axis=0)) / matrix.std(axis=0)
+    standard = (values - values.mean()) / values.std()
+
+    def model():
+        variance = numpyro.sample("variance", dist.InverseGamma(0.01, 0.01))
+        share = numpyro.sample("share", dist.Uniform(0.0, 1.0))
+        rest = jax.numpy.sqrt(variance)
+        level = numpyro.sample("level", dist.Normal(0.0, 10.0)) * rest
+        slopes = numpyro.sample("slopes", dist.Normal(0.0, 10.0).expand([2])) * rest
+        users = numpyro.sample("users", dist.Normal(0.0, 1.0).expand([10]))
+        user_level = users * rest * jax.numpy.sqrt(share / (1.0 - share))
+        numpyro.deterministic("slope", slopes)
+        numpyro.sample("seen", dist.Normal(level + design @ slopes + user_level[person], rest), obs=standard)
+
+    chains = numpyro.infer.MCMC(
+        numpyro.infer.NUTS(model, target_accept_prob=0.9), num_warmup=500, num_samples=4000, progress_bar=False
+    )
+    chains.run(jax.random.PRNGKey(0))
+    drawn = np.asarray(chains.get_samples()["slope"]) * values.std() / matrix.std(axis=0)
+    for index, each in enumerate(ours.slopes):
+        low, middle, high = np.quantile(drawn[:, index], [0.025, 0.5, 0.975])
+        # 4,000 draws know a median to 2 % of the interval's width and its ends to 3 %.
+        width = high - low
+        assert each.value == pytest.approx(middle, abs=0.02 * width)
+        assert (each.low, each.high) == pytest.approx((low, high), abs=0.03 * width)
+    assert ours.correlation == pytest.approx(float(np.mean(chains.get_samples()["share"])), abs=0.02)

@@ -11,8 +11,9 @@ from tissue.evaluation.statistics.comparison import across_tasks, compare, tukey
 from tissue.evaluation.statistics.hpi import composite_index, weights_of
 from tissue.evaluation.statistics.hypothesis_test import Assumption, HypothesisTest
 from tissue.evaluation.statistics.manova import manova
-from tissue.evaluation.statistics.mixed import mixed_model, trial_regression
+from tissue.evaluation.statistics.mixed import mixed_model
 from tissue.evaluation.statistics.power import redrawn_power
+from tissue.evaluation.statistics.regression import regression, trial_regression
 from tissue.evaluation.statistics.trials import TrialTable
 
 METHODS = ("energy", "koopman", "penalty", "perception")
@@ -267,17 +268,12 @@ REFUSED = {
         lambda: composite_index(TrialTable.from_rows([row | {"arc_length": 0.1} for row in rows_of()]), DIRECTIONS, rng=np.random.default_rng(1)),
         "arc_length must vary within a task",
     ),
-    "regression on a constant": (
-        lambda: trial_regression(TrialTable.from_rows([row | {"latency_ms": 3.0} for row in rows_of()]), "arc_length", ["latency_ms"]),
-        "latency_ms must vary",
-    ),
+    "regression on a constant": (lambda: regression([1.0, 2.0], {"x": [3.0, 3.0]}, ["a", "b"], response="y"), "x must vary, got 3 throughout"),
     "regression on itself": (
-        lambda: trial_regression(
-            TrialTable.from_rows([row | {"twice": 2.0 * row["latency_ms"]} for row in rows_of()]), "arc_length", ["latency_ms", "twice"]
-        ),
+        lambda: regression([1.0, 2.0, 4.0], {"x": [3.0, 1.0, 2.0], "z": [6.0, 2.0, 4.0]}, ["a", "b", "b"], response="y"),
         "predictors must not repeat one another",
     ),
-    "regression of one user": (lambda: trial_regression(table_of(**LONE), "arc_length", ["latency_ms"]), "users must be at least two"),
+    "regression of one user": (lambda: regression([1.0, 2.0], {"x": [3.0, 1.0]}, ["a", "a"], response="y"), "users must be at least two, got 1"),
     "groups of constants": (lambda: tukey_groups([[1.0, 1.0], [2.0, 2.0]], "ab", metric="m"), "groups must vary within"),
 }  # fmt: skip
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics.hypothesis_test import LEVEL, Assumption, Effect
 from tissue.evaluation.statistics.power import drawn_users
@@ -97,8 +97,7 @@ def composite_index(
     for name, sign in directions.items():
         if sign not in (-1, 1):
             raise InputError(f"direction of {name} must be 1 or -1, got {sign}: 1 where higher is better")
-    names = tuple(directions)
-    kept = table.failure == ""
+    names, kept = tuple(directions), table.failure == ""
     raw = np.column_stack([sign * table.values(name) for name, sign in directions.items()])[kept]
     tasks = np.unique(table.task[kept], return_inverse=True)[1]
     scaled = np.empty_like(raw)
@@ -117,30 +116,41 @@ def composite_index(
     _, first_rows = np.unique(person, return_index=True)
     groups = np.unique(table.group[kept][first_rows], return_inverse=True)[1].astype(np.int64)
     methods, method = np.unique(table.method[kept], return_inverse=True)
-    again = np.empty((count, len(names)))
-    redrawn = np.empty((count, len(methods)))
-    for index, drawn in enumerate(drawn_users(groups, count, rng)):
-        times = np.bincount(drawn, minlength=len(people))[person]
-        covariance = np.cov(scaled.T, fweights=times)
-        size = np.sqrt(np.diag(covariance))
-        again[index] = weights_of(covariance / np.outer(size, size))[0]
-        sums = np.bincount(method, times * (scaled @ again[index]), minlength=len(methods))
-        # A method that a drawn population does not hold has a mean of 0; NaN would spread to every percentile.
-        redrawn[index] = sums / np.maximum(np.bincount(method, times, minlength=len(methods)), 1.0)
-    tail = 50.0 * (1.0 - LEVEL)
+    drawn = drawn_users(groups, count, rng)
+    times = np.stack([np.bincount(each, minlength=len(people)) for each in drawn]).astype(float)
+    again, sums = _resampled(scaled, person, method, times, len(methods))
+    tail = 100.0 * 0.5 * (1.0 - LEVEL)
+    chosen = np.stack([scaled[method == each].mean(axis=0) for each in range(len(methods))]) @ weights
     spread = np.percentile(again, [tail, 100.0 - tail], axis=0)
-    reach = np.percentile(redrawn, [tail, 100.0 - tail], axis=0)
+    reach = np.percentile(np.einsum("bmk,bk->bm", sums, again), [tail, 100.0 - tail], axis=0)
     values = np.full(len(table), np.nan)
     values[kept] = scaled @ weights
-    means = np.bincount(method, values[kept]) / np.bincount(method)
     return Index(
         names,
         _effects(names, weights, spread),
         tuple(loadings.tolist()),
         values,
-        _effects(methods.tolist(), means, reach),
+        _effects(methods.tolist(), chosen, reach),
         _checks(loadings, variances, spread),
     )
+
+
+def _resampled(scaled: Array, person: Ints, method: Ints, times: Array, method_count: int) -> tuple[Array, Array]:
+    """Weights and means of each method's metrics in populations where user u is drawn times[b, u] times."""
+    people, width = times.shape[1], scaled.shape[1]
+    squares = np.stack([np.bincount(person, a * b) for a in scaled.T for b in scaled.T], axis=1)
+    total = times @ np.bincount(person)
+    middle = times @ np.stack([np.bincount(person, column) for column in scaled.T], axis=1) / total[:, None]
+    spread = (times @ squares / total[:, None]).reshape(-1, width, width) - middle[:, :, None] * middle[:, None, :]
+    size = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    weights, _, _ = weights_of(spread / size[:, :, None] / size[:, None, :])
+    at = person * method_count + method
+    shape = (people, method_count)
+    counts = np.bincount(at, minlength=people * method_count).reshape(shape).astype(float)
+    sums = np.stack([np.bincount(at, each, people * method_count).reshape(shape) for each in scaled.T], axis=2)
+    # A method that a drawn population does not hold keeps no mean; NaN would spread to every percentile.
+    means = np.einsum("bu,umk->bmk", times, sums) / np.maximum(times @ counts, 1.0)[:, :, None]
+    return weights, means
 
 
 def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumption, ...]:
@@ -148,11 +158,14 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
     agree = bool((loadings > -1e-9).all())
     gap = float(variances[0] / max(float(variances[1]), 1e-300))
     widest = float((spread[1] - spread[0]).max())
-    signs = "all loadings have one sign"
-    if not agree:
-        signs = "better by one metric goes with worse by another, so the weights mix both"
     return (
-        Assumption("metrics agree", agree, signs),
+        Assumption(
+            "metrics agree",
+            agree,
+            "better by one metric goes with worse by another, so the weights mix both"
+            if not agree
+            else "all loadings have one sign",
+        ),
         Assumption(
             "first component stands out",
             gap >= SMALLEST_GAP,

@@ -1,7 +1,6 @@
-"""Linear mixed models with random users, by statsmodels: comparison of methods, and regression on other metrics."""
+"""Linear mixed models with random users, by statsmodels."""
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -23,7 +22,7 @@ from tissue.evaluation.statistics.trials import TrialTable
 if TYPE_CHECKING:
     from statsmodels.regression.mixed_linear_model import MixedLMResults
 
-__all__ = ["Components", "MixedModel", "Regression", "mixed_model", "trial_regression"]
+__all__ = ["Components", "MixedModel", "mixed_model"]
 
 ITERATIONS = 400
 """After so many the fit counts as not converged."""
@@ -213,68 +212,3 @@ def _normal_users(fitted: "MixedLMResults") -> list[Assumption]:
 def _plain(name: str) -> str:
     """Return a term of the formula as a person reads it."""
     return name.replace("C(", "").replace(", Sum)", "").replace("[S.", " ").replace("]", "").replace(":", " x ")
-
-
-@dataclass(frozen=True)
-class Regression:
-    """Regression of one metric on others over trials, with random users.
-
-    Attributes
-    ----------
-    slopes
-        Change of the response for one unit of each predictor, with Wald intervals.
-    p_values
-        Chance of a slope as steep where there is none, by predictor.
-    correlation
-        Share of the variance about the line that is between users.
-    sentence
-        The result as text.
-    """
-
-    slopes: tuple[Effect, ...]
-    p_values: tuple[float, ...]
-    correlation: float
-    sentence: str
-
-
-def trial_regression(table: TrialTable, response: str, predictors: Sequence[str]) -> Regression:
-    """Regress one metric of the trials that did not fail on others, users random, by restricted likelihood.
-
-    Raises
-    ------
-    InputError
-        If no trial is left, a column is constant or repeats another, or there are fewer than two users.
-    """
-    require_statsmodels()
-    from statsmodels.regression.mixed_linear_model import MixedLM
-
-    kept = table.complete()
-    users = kept.people()
-    if len(np.unique(users)) < 2:
-        raise InputError("users must be at least two, got fewer: users cannot be separated from the line")
-    columns = np.column_stack([kept.values(name) for name in (response, *predictors)])
-    spread = columns.std(axis=0)
-    for name, width in zip((response, *predictors), spread, strict=True):
-        if width == 0.0:
-            raise InputError(f"{name} must vary, got a constant: leave it out of the regression")
-    standard = (columns - columns.mean(axis=0)) / spread
-    design = np.column_stack([np.ones(len(standard)), standard[:, 1:]])
-    if np.linalg.matrix_rank(design, tol=1e-8 * len(design)) < design.shape[1]:
-        raise InputError(f"predictors must not repeat one another, got {', '.join(predictors)}: drop one")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a variance of users at zero is a result, not a fault
-        fitted = MixedLM(standard[:, 0], design, groups=users).fit(reml=True)
-    ends = fitted.conf_int(1.0 - LEVEL)
-    slopes = []
-    for index, name in enumerate(predictors, start=1):
-        unit = spread[0] / spread[index]
-        values = (fitted.fe_params[index], *ends[index])
-        slopes.append(Effect(f"{response} per {name}", *(float(unit * each) for each in values)))
-    between = float(np.asarray(fitted.cov_re).item())
-    correlation = between / (between + float(fitted.scale))
-    slopes_text = "; ".join(str(each) for each in slopes)
-    sentence = (
-        f"{slopes_text}. Of the variance about the line {100.0 * correlation:.0f} % is between users. "
-        "These are associations over trials, not causes."
-    )
-    return Regression(tuple(slopes), tuple(map(float, fitted.pvalues[1 : len(predictors) + 1])), correlation, sentence)

@@ -11,8 +11,8 @@ from tissue.evaluation.statistics.comparison import MetricComparison, across_tas
 from tissue.evaluation.statistics.hpi import composite_index
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, Effect, HypothesisTest, format_p
 from tissue.evaluation.statistics.manova import manova
-from tissue.evaluation.statistics.mixed import trial_regression
 from tissue.evaluation.statistics.power import redrawn_power
+from tissue.evaluation.statistics.regression import trial_regression
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import COMPARED, DIRECTIONS, USERS
 from tissue.evaluation.study.section import COMPOSITE, Section, drawing, image, methods_of, tasks_of
@@ -214,9 +214,10 @@ def regression_section(table: TrialTable, rng: np.random.Generator) -> Content:
     for task in tasks_of(table):
         found = trial_regression(table.where(task=task), "position_error_mm", ("force_error", "latency_ms"))
         remarks.append(f"{task}: {found.sentence}")
-        for slope, p in zip(found.slopes, found.p_values, strict=True):
-            rows.append((task, slope.name, f"{slope.value:.4g}", f"{slope.low:.4g}", f"{slope.high:.4g}", f"{p:.3f}"))
-    return tuple(remarks), ("task", "slope", "value", "low", "high", "p"), tuple(rows)
+        for slope, chance in zip(found.slopes, found.chances, strict=True):
+            figures = (f"{slope.value:.4g}", f"{slope.low:.4g}", f"{slope.high:.4g}", f"{chance:.3f}")
+            rows.append((task, slope.name, *figures))
+    return tuple(remarks), ("task", "slope", "median", "low", "high", "chance above zero"), tuple(rows)
 
 
 def power_section(table: TrialTable, rng: np.random.Generator) -> Content:
