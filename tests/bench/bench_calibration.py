@@ -14,20 +14,20 @@ from time import perf_counter
 import numpy as np
 from harness import cost_of, machine, table
 from scipy.special import ndtri
+from staircase import Staircase
 
-from tissue.evaluation.calibration.force_discrimination import (
+from tissue.evaluation.calibration.observers import (
+    SimulatedObservers,
     Stimulus,
     calibrated_commands,
+    draw_observers,
     gain_of,
     share_right,
 )
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
-from tissue.perception.psychometric import D_PRIME_75, two_interval
-from tissue.perception.staircase import Staircase
-from tissue.perception.weber import weber
+from tissue.perception.laws import D_PRIME_75, two_interval, weber
 from tissue.scene.registry import GROUPS
 from tissue.simulation.trace import Table
 

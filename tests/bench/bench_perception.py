@@ -13,12 +13,10 @@ from harness import Cost, cost_of, machine, table
 
 import tissue
 from tissue.builders.perception import perception_for
-from tissue.perception.deadband import held_back
-from tissue.perception.estimate import map_force_N
-from tissue.perception.observer import Observer
-from tissue.perception.population import population_observer
-from tissue.perception.sensitivity import map_estimate_errors, recursive_estimate_errors
-from tissue.perception.weber import weber
+from tissue.perception.estimate import map_estimate_errors, map_force_N, recursive_estimate_errors
+from tissue.perception.laws import weber
+from tissue.perception.observer import Observer, population_observer
+from tissue.perception.perceived import held_back
 
 LIMIT_N, TICK_S = 3.3, 1e-3
 WEAK = Observer.known("weak", alpha=0.7, beta=1.4, kappa=0.09, offset_N=0.25, lapse=0.02, sigma=0.2)

@@ -22,6 +22,7 @@ os.environ.update(
 import numpy as np
 from closed_loop import close
 from harness import cost_of, machine, table
+from motor_score import recorded_ideal_N
 from prediction_scores import FORCE_LIMIT_N, KNOWN, RECORDED_MS, Kept, scores
 
 from meshes.base.errors import InputError
@@ -91,7 +92,7 @@ def record(name: str, move: str, runs: int, folder: Path) -> None:
         one = trial(scene, index, delay_ms=RECORDED_MS, share=share)
         try:
             run = recorder.record(one)
-            ideal = recorder.ideal_N(one, run)
+            ideal = recorded_ideal_N(one, run)
         except InputError as refusal:
             print(f"{name}, {move}, seed {index}: {refusal}", flush=True)
             return

@@ -21,9 +21,8 @@ import psutil
 from harness import machine, table
 
 from tissue.evaluation.study.folder import StudyFolder
-from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.plan import METHODS, Plan, TrialKey
 from tissue.evaluation.study.runner import run_study
-from tissue.evaluation.study.tasks import METHODS
 from tissue.evaluation.study.trial import run_trial
 
 TASKS = ("T1", "T2", "T3")

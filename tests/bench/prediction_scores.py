@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from motor_score import motor_score
 
 from tissue.builders.prediction import trained_predictor
-from tissue.evaluation.training.motor_score import motor_score
 from tissue.evaluation.training.recording import Recording, trial
 from tissue.prediction.look_ahead import LookAhead
 from tissue.prediction.predictor import Predictor

@@ -16,11 +16,10 @@ from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_ha
 from tissue.haptics.loop.sampled_loop import spectral_radius
 from tissue.haptics.renderer import ProxyRenderer
 from tissue.haptics.rigid_wall import press_wall
-from tissue.perception.deadband import held_back
+from tissue.perception.laws import Intensity, intensity_of, weber_of
 from tissue.perception.mapping import ForceMap
-from tissue.perception.population import population_observer, reference_observer
-from tissue.perception.stevens import Intensity, intensity_of
-from tissue.perception.weber import weber_of
+from tissue.perception.observer import population_observer, reference_observer
+from tissue.perception.perceived import held_back
 
 TICK = 1e-3
 LAW = weber_of(population_observer(), quantile=CAUTION)

@@ -7,8 +7,8 @@ import pytest
 
 from tissue import load_scene, simulate
 from tissue.builders.prediction import trained_predictor
-from tissue.evaluation.training.evaluation import forecast, forecast_errors
 from tissue.evaluation.training.recording import Recorder, trial
+from tissue.evaluation.training.train import forecast, forecast_errors
 from tissue.prediction.baselines import Linear
 from tissue.prediction.contact import Contact
 from tissue.prediction.guard import Guarded

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from staircase import Staircase
 
 from meshes.base.errors import InputError
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
-from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime, two_interval, with_lapse
-from tissue.perception.staircase import Staircase
+from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
+from tissue.perception.laws import D_PRIME_75, correct_of_d_prime, two_interval, with_lapse
 from tissue.scene.registry import GROUPS
 
 
@@ -94,21 +94,3 @@ def test_a_staircase_settles_at_its_target(down, target):
 def test_what_makes_no_sense_is_refused(call, sentence):
     with pytest.raises(InputError, match=sentence):
         call()
-
-
-def test_the_moves_of_a_staircase_by_hand():
-    """Two right answers bring the step down, one wrong one up: by 2 before the first reversal, by 1.1 from there on.
-
-    The answers below reverse it at 0.5 (not counted), at 0.55 and at 0.5; one observer answers wrongly throughout.
-    """
-    stairs = Staircase(1.0, down=2, observers=2, coarse=2.0, fine=1.1, coarse_reversals=1)
-    answers = [True, True, False, True, True, True, False]
-    levels, reversals = [], []
-    for correct in answers:
-        stairs.answer(np.array([correct, False]))
-        levels.append(stairs.level[0])
-        reversals.append(int(stairs.reversals[0]))
-    assert levels == pytest.approx([1.0, 0.5, 0.55, 0.55, 0.5, 0.5, 0.55])
-    assert reversals == [0, 0, 1, 1, 2, 2, 3]
-    assert stairs.level[1] == pytest.approx(2.0**7) and stairs.reversals[1] == 0
-    assert stairs.threshold() == pytest.approx([np.sqrt(0.55 * 0.5), 2.0**7])

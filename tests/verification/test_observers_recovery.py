@@ -4,20 +4,22 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 from scipy.stats import chisquare, kstest, t
+from staircase import Staircase
 
 from meshes.base.errors import InputError
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
-from tissue.perception.adaptive import AdaptiveThreshold, ThresholdPrior, comparisons
-from tissue.perception.magnitude import (
+from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
+from tissue.perception.adaptive import (
     MAGNITUDE_FORCES_N,
     PRIOR_MEAN,
     PRIOR_SCALE,
     PRIOR_SHAPE,
     PRIOR_WEIGHT,
+    AdaptiveThreshold,
+    ThresholdPrior,
+    comparisons,
     fit_magnitudes,
 )
-from tissue.perception.psychometric import D_PRIME_75, two_interval
-from tissue.perception.staircase import Staircase
+from tissue.perception.laws import D_PRIME_75, two_interval
 
 SMALL = ThresholdPrior(cells=41, offset_cells=5, lapse_cells=3)
 

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 
 from tissue import InputError
+from tissue.perception.estimate import LocalLevel
+from tissue.perception.laws import Intensity, Weber, correct_of_d_prime, intensity_of, two_interval, weber, weber_of
 from tissue.perception.mapping import ForceMap, LogTable
-from tissue.perception.observer import Observer
-from tissue.perception.population import population, population_observer, reference_observer
-from tissue.perception.psychometric import correct_of_d_prime, two_interval
-from tissue.perception.recursive import LocalLevel, Sense
-from tissue.perception.stevens import Intensity, intensity_of
-from tissue.perception.weber import Weber, weber, weber_of
+from tissue.perception.observer import Observer, population, population_observer, reference_observer
+from tissue.perception.perceived import Sense
 
 KNEE_N = 2.31
 """Strongest force that a Touch plays uncompressed [N]: 0.7 of 3.3."""

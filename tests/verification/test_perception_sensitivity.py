@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.perception.sensitivity import (
+from tissue.perception.estimate import (
     FATIGUE,
     LOG_SPREAD,
     MEDIAN_N,

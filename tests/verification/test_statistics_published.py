@@ -4,15 +4,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tissue.evaluation.statistics.comparison import compare
-from tissue.evaluation.statistics.effects import cohens_d, partial_eta_squared
-from tissue.evaluation.statistics.manova import multivariate, pillai
+from tissue.evaluation.statistics.comparison import compare, tukey_groups, tukey_levels
+from tissue.evaluation.statistics.hypothesis_test import cohens_d, mardia, normal_residuals, partial_eta_squared
+from tissue.evaluation.statistics.manova import multivariate
 from tissue.evaluation.statistics.mixed import mixed_model
-from tissue.evaluation.statistics.normality import mardia, normal_residuals
-from tissue.evaluation.statistics.robust import friedman, hotelling, kruskal_wallis, permutation, welch
-from tissue.evaluation.statistics.strata import mauchly, scores_of, strata
+from tissue.evaluation.statistics.strata import (
+    hotelling,
+    kruskal_wallis,
+    mauchly,
+    permutation,
+    pillai,
+    scores_of,
+    strata,
+    welch,
+)
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.statistics.tukey import corrected, tukey_groups, tukey_levels
 
 pytest.importorskip("statsmodels", reason="statsmodels is not installed: pip install 'tissue-sim[study]'")
 MACHINES = np.array(
@@ -135,9 +141,9 @@ def test_manova_of_skulls():
         each = next(each for each in (found, *found.alternatives) if each.test.startswith(f"MANOVA, {name}"))
         assert each.test.endswith(f"{value:.4g}")
         assert each.statistic == pytest.approx(statistic, abs=0.005)
-    value, p = pillai(SKULLS, PLACE, between=True)
-    assert float(value) == pytest.approx(0.44702843, abs=1e-8)
-    assert float(p) == pytest.approx(found.p, rel=1e-9)
+    ours = pillai(SKULLS, PLACE, between=True)
+    assert float(ours.trace) == pytest.approx(0.44702843, abs=1e-8)
+    assert float(ours.p) == pytest.approx(found.p, rel=1e-9)
 
 
 @pytest.mark.parametrize("between", [True, False], ids=["groups", "mean"])
@@ -145,20 +151,22 @@ def test_manova_of_skulls():
 def test_pillai_is_that_of_statsmodels(between, width):
     rng = np.random.default_rng(width)
     scores, groups = rng.normal(0.3, 1.0, (24, width)), np.repeat([0, 1, 2], [9, 8, 7])
-    found = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=99) if width > 1 else None
-    trace, p = pillai(scores, groups, between=between)
-    if found is not None:
-        assert found.p == pytest.approx(float(p), rel=1e-8)
-        assert found.test == f"MANOVA, Pillai's trace {float(trace):.4g}"
-    else:
-        exact = strata(scores, groups, (1,), between=True) if between else None
-        assert exact is None or float(p) == pytest.approx(float(exact.p), rel=1e-9)
+    ours = pillai(scores, groups, between=between)
+    if width > 1:
+        found = multivariate(scores, groups, between=between, question="?", rng=rng, permutations=99)
+        assert found.p == pytest.approx(float(ours.p), rel=1e-8)
+        assert found.test == f"MANOVA, Pillai's trace {float(ours.trace):.4g}"
+    elif between:
+        assert float(ours.p) == pytest.approx(float(strata(scores, groups, (1,), between=True).p), rel=1e-9)
 
 
-def test_hotelling_is_the_multivariate_test_of_the_mean():
-    rng = np.random.default_rng(3)
-    scores, groups = rng.normal(0.3, 1.0, (20, 3)), np.repeat([0, 1], [12, 8])
-    assert hotelling(scores, groups, question="?").p == pytest.approx(float(pillai(scores, groups, between=False)[1]))
+def test_hotelling_is_that_of_statsmodels():
+    from statsmodels.stats.multivariate import test_mvmean as of_the_mean
+
+    scores = np.random.default_rng(3).normal(0.3, 1.0, (20, 3))
+    ours = hotelling(scores, np.zeros(20, dtype=int), question="?")
+    theirs = of_the_mean(scores, np.zeros(3))
+    assert (ours.statistic, ours.p) == pytest.approx((theirs.statistic, theirs.pvalue), rel=1e-9)
 
 
 def test_tukey_of_plants():
@@ -172,7 +180,7 @@ def test_tukey_of_plants():
     for pair, (difference, low, high, p) in zip(tukey_groups(PLANTS, names, metric="g"), published, strict=True):
         assert pair.effect.value == pytest.approx(difference, abs=1e-9)
         assert (pair.effect.low, pair.effect.high) == pytest.approx((low, high), abs=2e-6)
-        assert pair.p == pytest.approx(p, abs=2e-6)
+        assert pair.p == pytest.approx(p, abs=2e-6) and pair.alternatives[0].test == "Games-Howell"
 
 
 def test_groups_of_plants_by_tests_that_rest_on_less():
@@ -195,20 +203,6 @@ def test_normality_of_plants():
     residuals = np.concatenate([np.array(each) - np.mean(each) for each in PLANTS])
     found = normal_residuals(residuals)
     assert found.holds and "Shapiro-Wilk p = 0.4379" in found.finding
-
-
-def test_games_howell_is_that_of_statsmodels():
-    from statsmodels.stats.multicomp import pairwise_tukeyhsd
-
-    rng = np.random.default_rng(9)
-    samples = [rng.normal(0.0, spread, count) for spread, count in ((1.0, 8), (2.0, 12), (0.5, 20))]
-    names = np.repeat(["a", "b", "c"], [8, 12, 20])
-    other = pairwise_tukeyhsd(np.concatenate(samples), names, use_var="unequal")
-    pairs = tukey_groups(samples, ("a", "b", "c"), metric="m")
-    ours = [each.alternatives[0].p for each in pairs]
-    assert ours == pytest.approx(other.pvalues, abs=1e-3)  # statsmodels interpolates a table
-    theirs = stats.tukey_hsd(*samples)
-    assert [each.p for each in pairs] == pytest.approx([theirs.pvalue[0, 1], theirs.pvalue[0, 2], theirs.pvalue[1, 2]])
 
 
 def test_tukey_within_users_of_two_levels_is_the_paired_test():
@@ -259,15 +253,13 @@ def test_intervals_of_extreme_effects_are_finite(statistic):
     assert far.low <= far.value <= far.high
 
 
-def test_corrections_by_hand():
-    assert corrected([0.01, 0.02, 0.04], "bonferroni") == pytest.approx([0.03, 0.06, 0.12])
-    assert corrected([0.01, 0.02, 0.04], "holm") == pytest.approx([0.03, 0.04, 0.04])
-    assert corrected([], "holm") == []
+def test_mardia_of_a_skew_cloud():
+    assert not mardia(np.random.default_rng(13).exponential(size=(200, 3))).holds
 
 
-def test_friedman_by_hand_and_mardia_of_a_skew_cloud():
-    rng = np.random.default_rng(13)
-    values = rng.normal(size=(10, 4))
-    ranks = stats.rankdata(values, axis=1).mean(axis=0)
-    assert friedman(values, question="?").statistic == pytest.approx(12.0 * 10 / 20 * ((ranks - 2.5) ** 2).sum())
-    assert not mardia(rng.exponential(size=(200, 3))).holds
+def test_tukey_within_users_takes_the_range_of_the_levels_over_the_error_of_their_interaction():
+    rng = np.random.default_rng(14)
+    values, groups = rng.normal(size=(30, 4)) + rng.normal(size=(30, 1)), np.repeat([0, 1, 2], 10)
+    error = strata(values, groups, (4,), (0,), between=False)
+    widest = max(each.statistic for each in tukey_levels(values, "abcd", groups, metric="m"))
+    assert widest == pytest.approx(np.ptp(values.mean(axis=0)) / np.sqrt(float(error.error_square) / 30), rel=1e-12)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.comparison import across_tasks, compare
+from tissue.evaluation.statistics.comparison import across_tasks, compare, tukey_groups
 from tissue.evaluation.statistics.hpi import composite_index, weights_of
 from tissue.evaluation.statistics.hypothesis_test import Assumption, HypothesisTest
 from tissue.evaluation.statistics.manova import manova
@@ -15,7 +15,6 @@ from tissue.evaluation.statistics.mixed import mixed_model
 from tissue.evaluation.statistics.power import redrawn_power
 from tissue.evaluation.statistics.regression import regression, trial_regression
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.statistics.tukey import tukey_groups
 
 METHODS = ("energy", "koopman", "penalty", "perception")
 DIRECTIONS = {"force_error": -1, "latency_ms": -1, "arc_length": 1, "position_error_mm": -1}

@@ -1,4 +1,4 @@
-"""What people feel of forces, found by asking them, and simulated people of known truth: `tissue.calibration`."""
+"""Calibration of people who feel forces, and simulated people of known truth: `tissue.calibration`."""
 
 from pathlib import Path
 
@@ -6,15 +6,20 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.evaluation.calibration.force_discrimination import Stimulus, calibrated_commands, gain_of
-from tissue.evaluation.calibration.force_discrimination import share_right as shares_right
-from tissue.evaluation.calibration.run_session import Answer, simulated_answers
+from tissue.evaluation.calibration.answers import Answer, simulated_answers
+from tissue.evaluation.calibration.observers import (
+    SimulatedObservers,
+    Stimulus,
+    calibrated_commands,
+    draw_observers,
+    gain_of,
+)
+from tissue.evaluation.calibration.observers import share_right as shares_right
 from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan, Session
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
 from tissue.evaluation.calibration.trial_log import TrialLog
 from tissue.evaluation.statistics.hypothesis_test import Effect
 from tissue.perception.adaptive import AdaptiveThreshold
-from tissue.perception.population import reference_observer
+from tissue.perception.observer import reference_observer
 
 __all__ = [
     "Answer", "Comparison", "Effect", "Magnitude", "Plan", "Session", "SimulatedObservers", "alike", "change_percent",
@@ -23,12 +28,12 @@ __all__ = [
 
 
 def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
-    """Simulated people of a group (novice, intermediate, expert), drawn from cited spreads."""
+    """Return the simulated people of a group (novice, intermediate, expert), drawn from cited spreads."""
     return draw_observers(group, count, np.random.default_rng(seed))
 
 
 def alike(count: int, **truth: float) -> SimulatedObservers:
-    """Simulated people who are all alike: those of the reference, and what is given otherwise.
+    """Return simulated people who are all alike: those of the reference, and what is given otherwise.
 
     Parameters
     ----------
@@ -42,7 +47,8 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     InputError
         If there is no such attribute.
     """
-    typical, names = reference_observer(), ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
+    typical = reference_observer()
+    names = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
     if strange := sorted(set(truth) - set(names)):
         raise InputError(f"truth must be of {', '.join(names)}, got {strange[0]}: use one of these")
     alpha, beta, kappa, offset, lapse, sigma = (
@@ -54,7 +60,7 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
 def run(
     answer: Answer, log: str | Path, *, name: str = "simulated", plan: Plan | None = None, trials: int | None = None
 ) -> Session:
-    """A session, as `tissue calibrate` asks it, gone on with where its log ends.
+    """Run a session as `tissue calibrate` does, from where its log ends.
 
     Parameters
     ----------
@@ -86,8 +92,9 @@ def run(
 
 
 def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int = 0) -> Array:
-    """Weber fraction of each of many people, found by a session of comparisons with each, shape (n,)."""
-    rng, found = np.random.default_rng(seed), AdaptiveThreshold(observers=len(crowd))
+    """Estimate the Weber fraction of many people by a session of comparisons with each, shape (n,)."""
+    rng = np.random.default_rng(seed)
+    found = AdaptiveThreshold(observers=len(crowd))
     for _ in range(trials):
         asked = found.propose()
         found.answer(asked, crowd.correct(found.base_N[asked], found.step_N[asked], rng))
@@ -97,7 +104,7 @@ def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int 
 def share_right(
     crowd: SimulatedObservers, first_N: float, second_N: float, *, seed: int, calibrated_by: int | None = None
 ) -> Array:
-    """Share of 100 comparisons of two forces [N] in which each names the greater one, shape (n,).
+    """Return the share of 100 comparisons of two forces [N] in which each names the greater one, shape (n,).
 
     Parameters
     ----------

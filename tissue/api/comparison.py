@@ -87,7 +87,7 @@ class Comparison:
         return ["figure", *self.runs], found
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """The table of `rows`, a row for each figure; the scenes' differences are in its ``attrs``.
+        """Return the table of `rows`, a row for each figure; the scenes' differences are in its ``attrs``.
 
         Raises
         ------
@@ -146,7 +146,7 @@ class Comparison:
         return [out / name for name in FILES]
 
     def lines(self) -> list[str]:
-        """What differs beside the figures, a line each."""
+        """Return the differences other than figures, a line each."""
         found = []
         for key, values in self.scene_differences.items():
             found.append(
@@ -188,14 +188,14 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
 
 
 def entries_of(scene: Scene) -> dict[str, object]:
-    """What a scene states, defaults included, by dotted key, without its name and description."""
+    """Return the entries of a scene by dotted key, defaults included, without its name and description."""
     import tomllib
 
     return {key: value for key, value in _flat(tomllib.loads(scene.to_toml())) if key not in ("name", "description")}
 
 
 def _number(value: float | None) -> str:
-    """A number of a table; nothing where there is none."""
+    """Return a number of a table; nothing where there is none."""
     return "" if value is None else f"{value:.4g}"
 
 
@@ -207,7 +207,7 @@ def _differences(scenes: list[Scene]) -> dict[str, tuple[object, ...]]:
 
 
 def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
-    """Runs that were cut short, and what differs outside of their scenes."""
+    """Yield notes on runs that were cut short, and on differences outside of their scenes."""
     for name, run in runs.items():
         if run.status != "complete":
             yield f"{name} did not come to its end: it is {run.status}"
@@ -230,9 +230,11 @@ def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
 
 
 def _names(runs: list[Run]) -> list[str]:
-    """Names of runs by their folders or scenes; those that are equal are numbered."""
+    """Return the names of runs by their folders or scenes; those that are equal are numbered."""
     plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
-    count, seen, found = Counter(plain), Counter[str](), []
+    count = Counter(plain)
+    seen = Counter[str]()
+    found = []
     for name in plain:
         seen[name] += 1
         found.append(f"{name} {seen[name]}" if count[name] > 1 else name)

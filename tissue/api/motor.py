@@ -8,7 +8,7 @@ __all__ = ["MotorForces", "motor_forces"]
 
 
 def motor_forces(run: Run) -> MotorForces:
-    """What a device played and what it would have played without latency, steps of encoders and filters [N].
+    """Compute the force that a device played, and that without latency, encoder steps and filters [N].
 
     The ideal force is that of a prompt loop on the very motion of the run: the scene is simulated once more.
 

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 __all__ = ["register"]
 
 F = TypeVar("F")
-COLOUR, MARKER = "#D55E00", "*"
+COLOUR = "#D55E00"
+MARKER = "*"
 
 
 class register:
@@ -45,7 +46,7 @@ class register:
 
     @staticmethod
     def tool(name: str, profile: F | None = None, *, keys: tuple[str, ...] = ()) -> Any:
-        """A rotating cutter, by its half section.
+        """Register a rotating cutter by its half section.
 
         Parameters
         ----------
@@ -58,39 +59,27 @@ class register:
             Those of the tool's keys that shape it beside its diameter.
         """
 
-        def add(part: Any) -> None:
-            check.name("tool", name)
-            check.callable_part("tool", name, part)
+        def entry(part: Any) -> CutterEntry:
             check.profile(name, part, keys)
-            CUTTERS.add(name, CutterEntry(part, tuple(keys)))
+            return CutterEntry(part, tuple(keys))
 
-        return _now_or_decorated(profile, add)
+        return _added("tool", name, profile, CUTTERS, entry)
 
     @staticmethod
     def probe(name: str, make: F | None = None, *, keys: tuple[str, ...] = ("diameter_mm",)) -> Any:
-        """A smooth tool that presses: ``make(tool)`` returns the `ProbeShape` of a scene's tool."""
+        """Register a smooth tool that presses: ``make(tool)`` returns the `ProbeShape` of a scene's tool."""
 
-        def add(part: Any) -> None:
-            check.name("probe", name)
-            check.callable_part("probe", name, part)
-            PROBES.add(name, ProbeEntry(part, tuple(keys)))
-
-        return _now_or_decorated(make, add)
+        return _added("probe", name, make, PROBES, lambda part: ProbeEntry(part, tuple(keys)))
 
     @staticmethod
     def needle(name: str, make: F | None = None) -> Any:
-        """A needle: ``make(walls=...)`` returns the `NeedleTissue` that it meets, ``walls`` the scene's membranes."""
+        """Register a needle: ``make(walls=...)`` returns its `NeedleTissue`, ``walls`` are the scene's membranes."""
 
-        def add(part: Any) -> None:
-            check.name("needle", name)
-            check.callable_part("needle", name, part)
-            NEEDLES.add(name, part)
-
-        return _now_or_decorated(make, add)
+        return _added("needle", name, make, NEEDLES)
 
     @staticmethod
     def motion(name: str, parameters: "type[Part]", make: F | None = None) -> Any:
-        """What moves the tool: ``make(parameters, step_s)`` returns a `tissue.motion.motion.Motion`.
+        """Register a motion of the tool: ``make(parameters, step_s)`` returns a `tissue.motion.motion.Motion`.
 
         Parameters
         ----------
@@ -102,13 +91,11 @@ class register:
             Makes one of that, for ticks of so many seconds.
         """
 
-        def add(part: Any) -> None:
-            check.name("motion", name)
+        def entry(part: Any) -> MotionEntry:
             check.parameters("motion", name, parameters)
-            check.callable_part("motion", name, part, ("sweep_m", "rotations", "begin", "advance"))
-            MOTIONS.add(name, MotionEntry(parameters, part))
+            return MotionEntry(parameters, part)
 
-        return _now_or_decorated(make, add)
+        return _added("motion", name, make, MOTIONS, entry, methods=("sweep_m", "rotations", "begin", "advance"))
 
     @staticmethod
     def tissue(
@@ -121,7 +108,7 @@ class register:
         pictures: Mapping[str, Callable[..., None]] | None = None,
         faces: Callable[..., Any] | None = None,
     ) -> Any:
-        """What a tool meets: ``build(scene, motion, *, step_s, compute, cores, report)`` returns the parts of a run.
+        """Register a tissue: ``build(scene, motion, *, step_s, compute, cores, report)`` returns the parts of a run.
 
         Parameters
         ----------
@@ -137,13 +124,11 @@ class register:
             See `tissue.scene.registry.AnatomyEntry`.
         """
 
-        def add(part: Any) -> None:
-            check.name("tissue", name)
+        def entry(part: Any) -> AnatomyEntry:
             check.parameters("tissue", name, parameters)
-            check.callable_part("tissue", name, part)
-            ANATOMIES.add(name, AnatomyEntry(parameters, tool, part, force_N, pictures or {}, faces))
+            return AnatomyEntry(parameters, tool, part, force_N, pictures or {}, faces)
 
-        return _now_or_decorated(build, add)
+        return _added("tissue", name, build, ANATOMIES, entry)
 
     @staticmethod
     def device(
@@ -151,7 +136,7 @@ class register:
         numbers: "Mapping[str, float] | DeviceParameters",
         make: Callable[[tuple[float, float, float]], object] | None = None,
     ) -> Callable[[F], F]:
-        """A haptic device: its numbers, by which it is judged, and what opens the real one.
+        """Register a haptic device: the numbers of its stability check, and a function that opens the real one.
 
         Parameters
         ----------
@@ -169,45 +154,44 @@ class register:
         Callable
             A decorator of the class that is `make`.
         """
+        from tissue.haptics.device.device import DeviceParameters
+
         check.name("device", name)
-        entry = DeviceEntry(check.device_numbers(numbers))
+        given = check.numbers_of(DeviceParameters, numbers, needed=("mass_kg", "damping_N_s_m"))
 
         def opens(part: Any) -> Any:
             check.callable_part("device", name, part, ("read", "command"))
-            DEVICES.put(name, DeviceEntry(entry.numbers, part))
+            DEVICES.put(name, DeviceEntry(given, part))
             return part
 
         if make is None:
-            DEVICES.add(name, entry)
+            DEVICES.add(name, DeviceEntry(given))
         else:
             opens(make)
         return opens
 
     @staticmethod
     def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
-        """A hand: numbers of `tissue.haptics.hand.hand.HandParameters` in SI; the others are those of a known hand."""
+        """Register a hand: numbers of `HandParameters` in SI; the others are those of a known hand."""
+        from tissue.haptics.hand.hand import HandParameters
+
         check.name("hand", name)
-        HANDS.add(name, check.hand_numbers({**HANDS[like], **numbers}))
+        HANDS.add(name, check.numbers_of(HandParameters, {**HANDS[like], **numbers}))
 
     @staticmethod
     def renderer(name: str, make: F | None = None) -> Any:
-        """A law by which a device plays what the tool meets, with `render` and `pause`: ``make(loop)`` of a `WallLoop`.
+        """Register a rendering law with `render` and `pause`: ``make(loop)`` takes a `WallLoop`.
 
         The loop is judged with ``loop.stiffness_N_m``; a law that is stiffer than that is not seen by the judge.
         """
 
-        def add(part: Any) -> None:
-            check.name("renderer", name)
-            check.callable_part("renderer", name, part, ("render", "pause"))
-            RENDERERS.add(name, part)
-
-        return _now_or_decorated(make, add)
+        return _added("renderer", name, make, RENDERERS, methods=("render", "pause"))
 
     @staticmethod
     def predictor(
         name: str, make: F | None = None, *, trained: bool = False, colour: str = COLOUR, marker: str = MARKER
     ) -> Any:
-        """What predicts the force on a device: a class with `observe` and `predict`, see `tissue.prediction.outside`.
+        """Register a predictor of the force: a class with `observe` and `predict`, see `tissue.prediction.outside`.
 
         It runs under the guard, which holds the last force where holding would miss less, and is judged with the loop.
 
@@ -223,33 +207,26 @@ class register:
             Its own in charts, as matplotlib has them.
         """
 
-        def add(part: Any) -> None:
+        def entry(part: Any) -> PredictorEntry:
             from tissue.prediction.outside import GuardedMaker
 
-            check.name("predictor", name)
-            check.callable_part("predictor", name, part, ("observe", "predict"))
             check.looks(colour, marker)
-            PREDICTORS.add(name, PredictorEntry(GuardedMaker(name, part, trained=trained), trained, colour, marker))
+            return PredictorEntry(GuardedMaker(name, part, trained=trained), trained, colour, marker)
 
-        return _now_or_decorated(make, add)
+        return _added("predictor", name, make, PREDICTORS, entry, methods=("observe", "predict"))
 
     @staticmethod
     def perception(name: str, make: F | None = None) -> Any:
-        """A perceptual map: ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`.
+        """Register a map: ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`.
 
         A name such as ``share:NUMBER`` stands for all texts with something behind the colon, which is the argument.
         """
 
-        def add(part: Any) -> None:
-            check.name("perception", name, argument=True)
-            check.callable_part("perception", name, part, ("step", "pause"))
-            PERCEPTIONS.add(name, part)
-
-        return _now_or_decorated(make, add)
+        return _added("perception", name, make, PERCEPTIONS, methods=("step", "pause"))
 
     @staticmethod
     def material(file: str | Path) -> tuple[str, ...]:
-        """Materials of a TOML file: ``[cutting.NAME.CONSTANT]`` for ``cutting.material``, ``[soft...]`` for organs.
+        """Register the materials of a TOML file: ``[cutting.NAME.CONSTANT]`` for cutting, ``[soft...]`` for organs.
 
         Each constant has value, range, source and confidence, as in `tissue/materials`. Returns the names.
         """
@@ -257,18 +234,32 @@ class register:
 
     @staticmethod
     def scene(file: str | Path) -> str:
-        """A scene in a TOML file, by the name that it holds: for `load_scene`, ``tissue scenes`` and ``tissue run``."""
+        """Register the scene of a TOML file by its name, for `load_scene`, ``tissue scenes`` and ``tissue run``."""
         path = Path(file).resolve()
         name = check.scene_name(path)
         SCENES.add(name, path)
         return name
 
 
-def _now_or_decorated(part: Any, add: Callable[[Any], None]) -> Any:
-    """Add a part that is given; a decorator that adds one where none is."""
+def _same(part: Any) -> Any:
+    """Return the part itself, as the entry of a table without details."""
+    return part
 
-    def added(each: Any) -> Any:
-        add(each)
+
+def _added(
+    kind: str,
+    name: str,
+    part: Any,
+    table: Any,
+    entry: Callable[[Any], Any] = _same,
+    methods: tuple[str, ...] = (),
+) -> Any:
+    """Check a part and add its entry to a table; return a decorator that does so where no part is given."""
+
+    def add(each: Any) -> Any:
+        check.name(kind, name, argument=kind == "perception")
+        check.callable_part(kind, name, each, methods)
+        table.add(name, entry(each))
         return each
 
-    return added if part is None else added(part)
+    return add if part is None else add(part)

@@ -1,4 +1,4 @@
-"""What is asked of a part from outside before it is registered, each refusal one sentence."""
+"""Checks of a part from outside before it is registered."""
 
 import inspect
 import re
@@ -7,21 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import read_toml
 from tissue.materials.constants import Entry, add_material, constants, listed
+from tissue.materials.scene_constants import checked_constant
 from tissue.scene.named_parts import nearest, shown
 from tissue.scene.registry import CUTTERS, CUTTING_MATERIALS, ORGAN_MATERIALS, SCENES, TABLES
 
-if TYPE_CHECKING:
-    from tissue.haptics.device.device import DeviceParameters
-
 __all__ = [
-    "add_materials", "callable_part", "device_numbers", "hand_numbers", "looks", "name", "parameters", "profile",
-    "scene_name",
+    "add_materials", "callable_part", "looks", "name", "numbers_of", "parameters", "profile", "scene_name",
 ]  # fmt: skip
 
 NAME = "[a-z0-9][a-z0-9_-]*"
@@ -90,24 +87,10 @@ def parameters(kind: str, given: str, part: object) -> None:
         )
 
 
-def device_numbers(numbers: "Mapping[str, float] | DeviceParameters") -> dict[str, float]:
-    """Numbers of a device, as the table has them."""
-    from tissue.haptics.device.device import DeviceParameters
-
-    if isinstance(numbers, DeviceParameters):
+def numbers_of(kind: Any, numbers: Any, *, needed: Sequence[str] = ()) -> dict[str, float]:
+    """Return the numbers of an instance of a class of parameters, or of a mapping that the class takes."""
+    if isinstance(numbers, kind):
         return asdict(numbers)
-    return _numbers(DeviceParameters, numbers, needed=("mass_kg", "damping_N_s_m"))
-
-
-def hand_numbers(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Numbers of a hand, as the table has them."""
-    from tissue.haptics.hand.hand import HandParameters
-
-    return _numbers(HandParameters, numbers, needed=())
-
-
-def _numbers(kind: Any, numbers: Mapping[str, float], *, needed: Sequence[str]) -> dict[str, float]:
-    """Numbers that a class of parameters takes."""
     if not isinstance(numbers, Mapping):
         raise InputError(
             f"numbers must be a mapping such as {{mass_kg: 0.05}}, got {shown(numbers)}: give names and values"
@@ -140,7 +123,7 @@ def looks(colour: str, marker: str) -> None:
 
 
 def scene_name(path: Path) -> str:
-    """The name that a scene's file holds, where none has it."""
+    """Return the name that a scene's file holds, where none has it."""
     from tissue.scene.load import library_names
 
     found = _table(path, "scene").get("name")
@@ -188,29 +171,11 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
             f"{', '.join(missing or extra)} in {path}: {'add' if missing else 'remove'} it"
         )
     for constant, entry in entries.items():
-        if problem := _problem(entry):
-            raise InputError(f"{where}.{constant} must have {problem} in {path}: see tissue/materials/{table}.toml")
-
-
-def _problem(entry: Any) -> str:
-    """What an entry of a material should have and has not, with what it has; nothing where it is whole."""
-    if not isinstance(entry, dict) or not {"value", "range", "source", "confidence"} <= set(entry):
-        return (
-            f"value, range, source and confidence, got {', '.join(entry) if isinstance(entry, dict) else shown(entry)}"
-        )
-    value, limits = entry["value"], entry["range"]
-    numbers = [value, *limits] if isinstance(limits, list) and len(limits) == 2 else []
-    if not numbers or not all(isinstance(each, int | float) for each in numbers) or not limits[0] <= value <= limits[1]:
-        return f"a value within its range, got {shown(value)} and {shown(limits)}"
-    if not isinstance(entry["source"], str) or not entry["source"].strip():
-        return "a source, got none"
-    return (
-        "" if entry["confidence"] in ("H", "M", "L") else f"a confidence of H, M or L, got {shown(entry['confidence'])}"
-    )
+        checked_constant(f"{where}.{constant}", entry, str(path))
 
 
 def _table(path: Path, kind: str) -> dict[str, Any]:
-    """A TOML file."""
+    """Read a TOML file."""
     require_regular(path)
     try:
         return read_toml(path.read_text("utf-8"))

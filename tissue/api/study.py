@@ -62,7 +62,7 @@ def run(
 
 
 def trial(plan: Plan, name: str) -> Trial:
-    """One trial of a plan, run alone and here, with the figures that it has in the study to the last bit.
+    """Run one trial of a plan alone; its figures are those of the study to the last bit.
 
     Parameters
     ----------

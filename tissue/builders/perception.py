@@ -7,15 +7,11 @@ import numpy as np
 
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
-from tissue.perception.deadband import Deadband
+from tissue.perception.laws import intensity_of, weber_of
 from tissue.perception.mapping import ForceMap
-from tissue.perception.observer import Observer, read_observer
+from tissue.perception.observer import Observer, population_observer, read_observer, reference_observer
+from tissue.perception.perceived import Deadband, PerceivedForce, Sense
 from tissue.perception.perception import Perception
-from tissue.perception.population import population_observer, reference_observer
-from tissue.perception.recursive import Sense
-from tissue.perception.scaling import PerceivedForce
-from tissue.perception.stevens import intensity_of
-from tissue.perception.weber import weber_of
 from tissue.scene.registry import PERCEPTIONS
 
 __all__ = ["CAUTION", "of_observer", "of_population", "perception", "perception_for"]

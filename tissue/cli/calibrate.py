@@ -11,7 +11,7 @@ from tissue.system.outputs import output_locked
 from tissue.system.stopping import Terminated
 
 if TYPE_CHECKING:
-    from tissue.evaluation.calibration.run_session import Answer
+    from tissue.evaluation.calibration.answers import Answer
     from tissue.evaluation.calibration.session import Plan, Session
     from tissue.evaluation.calibration.trial_log import TrialLog
 
@@ -70,14 +70,14 @@ def calibrate(
     if population is not None:
         left_out("with --population, which fits sessions that are over", "remove it",
                  device=device, trials=trials, numbers=numbers)  # fmt: skip
-        from tissue.evaluation.calibration.fitted_population import fit_population
+        from tissue.evaluation.calibration.population_fit import fit_population
 
         target = out or Path("population.json")
         with output_locked(target, folder=False):
             lines = fit_population(population, target, seed=seed, overwrite=overwrite, progress=problems.is_terminal)
         console.print(*lines, sep="\n")
         return
-    from tissue.evaluation.calibration.run_session import questioner
+    from tissue.evaluation.calibration.answers import questioner
     from tissue.evaluation.calibration.session import Plan
 
     device = device or "mouse"
@@ -92,8 +92,8 @@ def calibrate(
 def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, live: bool, overwrite: bool) -> None:
     """A session from where its log stands to its files."""
     from meshes.base.whole_file import whole_file
+    from tissue.evaluation.calibration.answers import begin
     from tissue.evaluation.calibration.posterior_view import draw_session
-    from tissue.evaluation.calibration.run_session import begin
     from tissue.perception.observer import write_observer
 
     log = begin(target, name, plan, overwrite=overwrite)
@@ -123,7 +123,7 @@ def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
     """Ask what is left; a stop prints how to go on."""
     from rich.live import Live
 
-    from tissue.evaluation.calibration.intervals import StoppedError
+    from tissue.evaluation.calibration.answers import StoppedError
     from tissue.evaluation.calibration.posterior_view import posterior_panel
     from tissue.evaluation.calibration.trial_log import read_log
 

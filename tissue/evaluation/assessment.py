@@ -10,9 +10,10 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from tissue.evaluation.same_task import path_note, require_same_task, scene_notes
-from tissue.evaluation.statistics.alignment import aligned_rows, deviation_mm
 from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
+    aligned_rows,
+    deviation_mm,
     force_error,
     overshoot_mm,
     spectral_arc_length,

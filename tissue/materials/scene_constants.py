@@ -19,7 +19,7 @@ from meshes.base.text_tables import read_toml
 from tissue.materials.constants import Constant, CuttingCoefficients, changed_coefficients, constants, listed
 from tissue.materials.cutting import CUT_AS
 
-__all__ = ["Materials"]
+__all__ = ["Materials", "checked_constant"]
 
 TABLES = ("cutting", "tooth", "soft", "needle", "devices", "hands")
 """Tables whose constants a file may replace."""
@@ -167,7 +167,7 @@ def _parsed(text: str, path: str) -> Materials:
             for name, entry in _table(entries, f"{table}.{material}", path).items():
                 _require_known(f"a constant of {table}.{material}", name, known, path)
                 full = f"{table}.{material}.{name}"
-                given[full] = _constant(full, entry, path)
+                given[full] = checked_constant(full, entry, path)
     if not given:
         raise InputError(f"materials must hold a constant such as [cutting.bone.radial_chip_N_mm2], got none in {path}")
     names, matrix = _correlation(correlation, given, path) if correlation is not None else ((), ())
@@ -193,8 +193,8 @@ def _require_known(what: str, name: str, known: Iterable[str], path: str) -> Non
         )
 
 
-def _constant(full: str, entry: object, path: str) -> Constant:
-    """One entry of the file, checked."""
+def checked_constant(full: str, entry: object, path: str) -> Constant:
+    """Return an entry of a file of materials as a constant, and raise an error where it is not one."""
     entries = _table(entry, full, path)
     wanted = {"value", "range", "source", "confidence"}
     if wrong := sorted(wanted ^ entries.keys()):

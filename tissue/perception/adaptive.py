@@ -1,16 +1,25 @@
-"""QUEST+: the two forces whose comparison is expected to inform most about an observer's threshold."""
+"""Estimation of one person: threshold by adaptive comparisons (QUEST+), Stevens' law by magnitude estimation."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import beta, norm
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import digamma, polygamma
+from scipy.stats import beta, norm, t
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.perception.psychometric import two_interval
+from tissue.perception.laws import two_interval
 
-__all__ = ["EDGE_MASS", "AdaptiveThreshold", "ThresholdPrior", "comparisons"]
+__all__ = [
+    "EDGE_MASS",
+    "MAGNITUDE_FORCES_N",
+    "AdaptiveThreshold",
+    "MagnitudePosterior",
+    "ThresholdPrior",
+    "comparisons",
+    "fit_magnitudes",
+]
 
 EDGE_MASS = 0.05
 """Posterior mass in the outermost cells of the Weber fraction's grid from which on the prior, not the data, decides."""
@@ -22,8 +31,21 @@ STEPS = (0.005, 1.5)
 LOW_FORCE_N = 0.2
 """Force at which Weber's law falls short, for the choice of steps and as the median of the prior [N]: between 0.1 and
 0.3 N (memory of the literature, low confidence)."""
-GREATEST_LAPSE, LAPSE_POWER, LAPSE_PRIOR = 0.2, 2.5, (0.5, 5.0)
+GREATEST_LAPSE = 0.2
+LAPSE_POWER = 2.5
+LAPSE_PRIOR = (0.5, 5.0)
 """Greatest lapse of the grid, by what power its cells grow towards it, and the parameters of its Beta distribution."""
+
+
+MAGNITUDE_FORCES_N = (0.3, 0.5, 0.8, 1.3, 2.0, 3.2)
+"""Forces that are given numbers [N]: equal ratios over what a desktop device plays."""
+PRIOR_MEAN = (0.0, 1.4)
+"""Prior mean of ln alpha and of beta: between palm pressure (1.1) and muscle force (1.7)."""
+PRIOR_WEIGHT = 1.0 / 16.0
+"""Precision of both, in units of that of one report: at a scatter of 0.25 their standard deviation is 1."""
+PRIOR_SHAPE = 2.0
+PRIOR_SCALE = 0.12
+"""Inverse-gamma prior of sigma^2: mean 0.12, a scatter of about 0.3."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +169,7 @@ class AdaptiveThreshold:
         self._entropy = -(self._right * np.log(self._right) + wrong * np.log(wrong))
 
     def propose(self) -> NDArray[np.intp]:
-        """Index of the comparison with the least expected entropy of the posterior, shape (observers,)."""
+        """Return the index of the comparison with the least expected entropy of the posterior, shape (observers,)."""
         right = np.clip(self._right @ self.posterior, 1e-12, 1.0 - 1e-12)
         marginal = -(right * np.log(right) + (1.0 - right) * np.log1p(-right))
         return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
@@ -159,7 +181,7 @@ class AdaptiveThreshold:
         self.posterior /= self.posterior.sum(axis=0)
 
     def weber_masses(self) -> Array:
-        """Posterior of the Weber fraction alone, shape (cells, observers)."""
+        """Return the posterior of the Weber fraction alone, shape (cells, observers)."""
         return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
 
     def threshold_N(self, base_N: float) -> tuple[Array, Array]:
@@ -171,7 +193,7 @@ class AdaptiveThreshold:
         return self._log_moments(self._weber)
 
     def offset_N(self) -> Array:
-        """Geometric mean of the low-force term [N], shape (observers,)."""
+        """Return the geometric mean of the low-force term [N], shape (observers,)."""
         return self._log_moments(self._offset)[0]
 
     def _log_moments(self, values: Array) -> tuple[Array, Array]:
@@ -181,7 +203,7 @@ class AdaptiveThreshold:
         return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
 
     def lapse(self) -> Array:
-        """Mean of the lapse, shape (observers,)."""
+        """Return the mean of the lapse, shape (observers,)."""
         return self._lapse @ self.posterior
 
     def weber_quantiles(self, shares: Array) -> Array:
@@ -194,3 +216,60 @@ class AdaptiveThreshold:
         """Posterior mass in the two cells at the lower and at the upper bound of the Weber fraction, (observers,)."""
         masses = self.weber_masses()
         return masses[:2].sum(axis=0), masses[-2:].sum(axis=0)
+
+
+@dataclass(frozen=True)
+class MagnitudePosterior:
+    """Normal-inverse-gamma posterior of ln S = ln alpha + beta ln F + sigma e (Gelman et al., 2013, section 14.2).
+
+    Attributes
+    ----------
+    mean
+        Mean of (ln alpha, beta), shape (2,).
+    precision
+        Their precision in units of 1 / sigma^2, shape (2, 2).
+    shape, scale
+        Of the inverse-gamma posterior of sigma^2.
+    """
+
+    mean: Array
+    precision: Array
+    shape: float
+    scale: float
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of (ln alpha, beta), shape (2, 2)."""
+        return np.asarray(self.scale / (self.shape - 1.0) * np.linalg.inv(self.precision))
+
+    def log_sigma(self) -> tuple[float, float]:
+        """Return the mean and variance of ln sigma."""
+        return 0.5 * float(np.log(self.scale) - digamma(self.shape)), 0.25 * float(polygamma(1, self.shape))
+
+    def exponent_at(self, shares: ArrayLike) -> Array:
+        """Return the quantiles of the exponent beta."""
+        width = np.sqrt(self.scale / self.shape * np.linalg.inv(self.precision)[1, 1])
+        return self.mean[1] + width * t.ppf(shares, 2.0 * self.shape)
+
+
+def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterior:
+    """Compute the posterior after some reports; without any it is the prior.
+
+    The factor is that of a person's numbers: it cannot be separated from how the person uses them.
+
+    Parameters
+    ----------
+    forces_N
+        Forces [N], positive, shape (n,).
+    numbers
+        Numbers that were given to them, positive, shape (n,).
+    """
+    log_forces = np.log(forces_N)
+    logarithms = np.log(numbers)
+    design = np.column_stack([np.ones(len(log_forces)), log_forces])
+    prior = PRIOR_WEIGHT * np.eye(2)
+    precision = prior + design.T @ design
+    start = np.array(PRIOR_MEAN)
+    mean = np.linalg.solve(precision, prior @ start + design.T @ logarithms)
+    scale = PRIOR_SCALE + 0.5 * float(logarithms @ logarithms + start @ prior @ start - mean @ precision @ mean)
+    return MagnitudePosterior(mean, precision, PRIOR_SHAPE + 0.5 * len(design), scale)

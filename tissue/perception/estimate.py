@@ -1,23 +1,50 @@
-"""The most probable force behind one noisy look at it: log-normal prior, Gaussian noise."""
+"""Estimates of a force: the most probable one behind one noisy look, the recursive one, and their errors."""
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, require_positive, require_range
 from tissue.materials.constants import constants
 
-__all__ = ["log_posterior", "map_force_N", "require_prior_fits"]
+__all__ = [
+    "AssumptionResult",
+    "LocalLevel",
+    "log_posterior",
+    "map_estimate_errors",
+    "map_force_N",
+    "recursive_estimate_errors",
+    "require_prior_fits",
+]
+
+Level = TypeVar("Level", float, NDArray[np.float64])
 
 MOST_STEPS = 200
 """Steps after which a bracket has shrunk to rounding by bisection alone."""
 FAR = 6.0
 """Standard deviations beyond which a prior excludes what was seen."""
+MEDIAN_N = 1.0
+LOG_SPREAD = 1.0
+NOISE_N = 0.3
+"""What single looks are tried on: forces as the prior of ``perception.toml``, a look that scatters as at 4 N."""
+WANDER = 1e-4
+NOISE = 1.0
+TICKS = 2000
+"""Variances of level and look that the recursion is tried on, and for how long."""
+TAIL = 3.0
+"""Degrees of freedom of Student's t for heavy tails; its variance is brought to that of the Gaussian."""
+FATIGUE = 0.1
+"""Share by which a force feels stronger after long pressing, memory of the literature (Jones and Hunter 1983)."""
 
 
 def log_posterior(log_force: Array, seen_N: Array, noise_N: Array, log_median: Array, log_spread: Array) -> Array:
     """Logarithm of the density of F at u = ln F, up to a constant: -(u - m)^2 / 2 s^2 - u - (y - e^u)^2 / 2 r^2."""
-    off, missed = (log_force - log_median) / log_spread, (seen_N - np.exp(log_force)) / noise_N
+    off = (log_force - log_median) / log_spread
+    missed = (seen_N - np.exp(log_force)) / noise_N
     return -0.5 * off * off - log_force - 0.5 * missed * missed
 
 
@@ -28,7 +55,7 @@ def map_force_N(
     median_N: ArrayLike | None = None,
     log_spread: ArrayLike | None = None,
 ) -> Array:
-    """Force [N] of greatest posterior density, for observations that may be zero or negative (E7).
+    """Estimate the force [N] of largest posterior density, for observations that may be zero or negative (E7).
 
     In u = ln F the slope g(u) = -(u - m) / s^2 - 1 + (y - e^u) e^u / r^2 falls, rises and falls again, or only falls:
     between are at most two points, the roots of 2 w^2 - y w + r^2 / s^2 in w = e^u. Every falling piece that holds a
@@ -94,7 +121,8 @@ def require_prior_fits(seen_N: float, noise_N: float, *, median_N: float, log_sp
     require_positive("noise_N", noise_N, "use the standard deviation of an observation")
     require_positive("median_N", median_N, "use 1")
     require_positive("log_spread", log_spread, "use 1")
-    low, high = median_N * np.exp(-FAR * log_spread), median_N * np.exp(FAR * log_spread)
+    low = median_N * np.exp(-FAR * log_spread)
+    high = median_N * np.exp(FAR * log_spread)
     if not low - FAR * noise_N <= seen_N <= high + FAR * noise_N:
         raise InputError(
             f"seen_N must be possible under the prior of {median_N:g} N with log spread {log_spread:g}, got {seen_N} "
@@ -103,14 +131,16 @@ def require_prior_fits(seen_N: float, noise_N: float, *, median_N: float, log_sp
 
 
 def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Array:
-    """Where the slope crosses zero within brackets on which it falls; an end where it does not."""
-    low, high = low.copy(), high.copy()
+    """Find the zero of the slope within brackets on which it falls; an end without a zero."""
+    low = low.copy()
+    high = high.copy()
     u = 0.5 * (low + high)
     for _ in range(MOST_STEPS):
         w = np.exp(u)
         slope = -(u - m) / (s * s) - 1.0 + ((y - w) / r) * (w / r)
         bend = -1.0 / (s * s) + ((y - 2.0 * w) / r) * (w / r)
-        low, high = np.where(slope > 0.0, u, low), np.where(slope > 0.0, high, u)
+        low = np.where(slope > 0.0, u, low)
+        high = np.where(slope > 0.0, high, u)
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = u - slope / bend
         inside = (newton > low) & (newton < high)
@@ -120,3 +150,123 @@ def _root(low: Array, high: Array, y: Array, r: Array, m: Array, s: Array) -> Ar
         if done.all():
             break
     return u
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalLevel:
+    """A level that wanders by a variance q a step and is observed with a variance r (Kalman 1960; E8)::
+
+        P = sigma^2 + q,   G = P / (P + r),   level += G (seen - level),   sigma^2 = G r
+
+    The printed sigma^2 = q r / (q + r) leaves the last variance out of P: 0.5 at q = r = 1, where the filter's steady
+    state is (-q + sqrt(q^2 + 4 q r)) / 2 = 0.618.
+
+    Attributes
+    ----------
+    wander, noise
+        Variances q and r.
+    """
+
+    wander: float
+    noise: float
+
+    def __post_init__(self) -> None:
+        require_range("wander", self.wander, 0.0, 1e12, "use 0 for a level that stays")
+        require_positive("noise", self.noise, "use the variance of one observation")
+
+    def step(self, level: Level, variance: float, seen: Level) -> tuple[Level, float]:
+        """Return the level, or many levels, and variance after one more observation."""
+        predicted = variance + self.wander
+        gain = predicted / (predicted + self.noise)
+        return level + gain * (seen - level), gain * self.noise
+
+    @property
+    def steady_variance(self) -> float:
+        """Variance after many observations."""
+        return 0.5 * (sqrt(self.wander**2 + 4.0 * self.wander * self.noise) - self.wander)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssumptionResult:
+    """An assumption and what it costs.
+
+    Attributes
+    ----------
+    assumed
+        What is taken for granted, or what is true instead.
+    error
+        Root mean square error: of one look in units of its noise, of the recursion in units of the right filter's
+        standard deviation.
+    held
+        Share of true levels within 1.96 standard deviations of the recursion; not a number for one look.
+    """
+
+    assumed: str
+    error: float
+    held: float = float("nan")
+
+
+def map_estimate_errors(rng: np.random.Generator, *, count: int = 20_000) -> list[AssumptionResult]:
+    """Return the errors of the estimate from one look at each of ``count`` forces, by what is assumed."""
+    truth = MEDIAN_N * np.exp(LOG_SPREAD * rng.standard_normal(count))
+    gaussian = NOISE_N * rng.standard_normal(count)
+    tails = NOISE_N * _heavy(rng, count)
+    seen = truth + gaussian
+    # Observation, and factors on the assumed median, spread and noise.
+    cases = {
+        "right prior and noise": (seen, 1.0, 1.0, 1.0),
+        "prior's median / 3": (seen, 1.0 / 3.0, 1.0, 1.0),
+        "prior's median x 3": (seen, 3.0, 1.0, 1.0),
+        "prior's spread / 2": (seen, 1.0, 0.5, 1.0),
+        "prior's spread x 2": (seen, 1.0, 2.0, 1.0),
+        "noise / 2": (seen, 1.0, 1.0, 0.5),
+        "noise x 2": (seen, 1.0, 1.0, 2.0),
+        "truth has heavy tails": (truth + tails, 1.0, 1.0, 1.0),
+        "truth fatigues by 10 %": ((1.0 + FATIGUE) * truth + gaussian, 1.0, 1.0, 1.0),
+    }
+    estimates = {"the look itself": seen}
+    for assumed, (look, median, spread, noise) in cases.items():
+        estimates[assumed] = map_force_N(
+            look, noise * NOISE_N, median_N=median * MEDIAN_N, log_spread=spread * LOG_SPREAD
+        )
+    return [
+        AssumptionResult(assumed=assumed, error=float(np.sqrt(np.mean((estimate - truth) ** 2))) / NOISE_N)
+        for assumed, estimate in estimates.items()
+    ]
+
+
+def recursive_estimate_errors(rng: np.random.Generator, *, runs: int = 200) -> list[AssumptionResult]:
+    """Return the errors of the recursive estimate of a wandering level in ``runs`` runs, by what is assumed."""
+    right = LocalLevel(wander=WANDER, noise=NOISE)
+    level = 5.0 + np.cumsum(np.sqrt(WANDER) * rng.standard_normal((TICKS, runs)), axis=0)
+    gaussian = rng.standard_normal((TICKS, runs))
+    tails = _heavy(rng, (TICKS, runs))
+    fatigue = FATIGUE * np.linspace(0.0, 1.0, TICKS)[:, None]
+    cases = [
+        ("right variances", right, level + gaussian),
+        ("wander / 10", LocalLevel(wander=0.1 * WANDER, noise=NOISE), level + gaussian),
+        ("wander x 10", LocalLevel(wander=10.0 * WANDER, noise=NOISE), level + gaussian),
+        ("noise / 10", LocalLevel(wander=WANDER, noise=0.1 * NOISE), level + gaussian),
+        ("truth has heavy tails", right, level + tails),
+        ("truth fatigues by 10 %", right, (1.0 + fatigue) * level + gaussian),
+    ]
+    return [_followed(assumed, law, level, seen, right.steady_variance) for assumed, law, seen in cases]
+
+
+def _followed(assumed: str, law: LocalLevel, level: Array, seen: Array, best: float) -> AssumptionResult:
+    """Follow runs by a filter, and return its errors over their second half."""
+    estimate = seen[0]
+    variance = law.noise
+    off = []
+    held = []
+    for tick in range(1, len(level)):
+        estimate, variance = law.step(estimate, variance, seen[tick])
+        if tick >= len(level) // 2:
+            off.append((estimate - level[tick]) ** 2)
+            held.append(off[-1] < 1.96**2 * variance)
+    return AssumptionResult(assumed=assumed, error=float(np.sqrt(np.mean(off) / best)), held=float(np.mean(held)))
+
+
+def _heavy(rng: np.random.Generator, shape: int | tuple[int, ...]) -> Array:
+    """Draw from Student's t with unit variance."""
+    return np.asarray(rng.standard_t(TAIL, shape) / np.sqrt(TAIL / (TAIL - 2.0)))

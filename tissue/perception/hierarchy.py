@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.perception.psychometric import D_PRIME_75
+from tissue.perception.laws import D_PRIME_75
 
 if TYPE_CHECKING:
     from jax import Array as JaxArray
@@ -35,7 +35,8 @@ VARIANCE_SHAPE = 10.0
 perception.toml)."""
 CHAINS = 2
 """Chains of a fit: one cannot be compared with another."""
-R_HAT, ESS = 1.01, 400.0
+R_HAT = 1.01
+ESS = 400.0
 """Greatest R-hat and least effective sample size of a fit that counts as converged (Vehtari et al., 2021)."""
 
 
@@ -93,7 +94,7 @@ class PopulationFit:
     divergences: int
 
     def problems(self) -> list[str]:
-        """Why the fit should not be trusted, in sentences; empty where it can be."""
+        """Return the reasons against trusting the fit as sentences; empty for a sound fit."""
         found = []
         worst = max(self.r_hat, key=lambda name: np.nan_to_num(self.r_hat[name], nan=np.inf))
         least = min(self.ess, key=lambda name: self.ess[name])
@@ -106,7 +107,7 @@ class PopulationFit:
         return found
 
     def interval(self, name: str) -> tuple[float, float, float]:
-        """Lower end, median and upper end of the central 95 % interval of a population's parameter."""
+        """Return the lower end, median and upper end of the central 95 % interval of a population's parameter."""
         low, middle, high = np.quantile(self.draws[name], [0.025, 0.5, 0.975]).tolist()
         return low, middle, high
 
@@ -119,7 +120,7 @@ def fit_hierarchy(
     draws: int = 600,
     progress: bool = False,
 ) -> PopulationFit:
-    """Posterior of the population and of each person, by NUTS (Hoffman and Gelman, 2014) in NumPyro.
+    """Sample the posterior of the population and of each person by NUTS (Hoffman and Gelman, 2014) in NumPyro.
 
     People: ln alpha, beta, ln kappa and ln offset are normal over people, sigma squared inverse-gamma, lapses
     Beta(1, 10). The means over people have wide priors around what is published, the standard deviations half-normal
@@ -176,14 +177,14 @@ def fit_hierarchy(
 def _model(
     observers: int, ratings: tuple[Index, Array, Array], counts: tuple[Index, Array, Array, Index, Index]
 ) -> None:
-    """The hierarchy as NumPyro reads it."""
+    """Declare the hierarchy in NumPyro."""
     import jax.numpy as jnp
     import numpyro
     from jax.scipy.special import ndtr
     from numpyro import distributions as law
 
     def person(name: str, mean: "Distribution", spread: "Distribution", *, is_well_known: bool) -> "JaxArray":
-        """A normal parameter of each person around the population's; an offset from it where trials are few."""
+        """Sample a normal parameter of each person around the population's; an offset where trials are few."""
         centre = numpyro.sample(name, mean)
         width = numpyro.sample(f"{name}_spread", spread)
         with numpyro.plate(f"{name}_people", observers):

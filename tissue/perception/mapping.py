@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.perception.stevens import Intensity
+from tissue.perception.laws import Intensity
 
 __all__ = ["ForceMap", "LogTable"]
 
@@ -32,13 +32,16 @@ class LogTable:
     def __init__(self, forces_N: Array, values: Array) -> None:
         if not (np.isfinite(values).all() and (values > 0.0).all()):
             raise InputError("values must be positive and finite, got one that is not: narrow the range of forces")
-        self._first, self._last = float(forces_N[0]), float(forces_N[-1])
-        self._start, self._per_log = log(self._first), (len(forces_N) - 1) / log(self._last / self._first)
+        self._first = float(forces_N[0])
+        self._last = float(forces_N[-1])
+        self._start = log(self._first)
+        self._per_log = (len(forces_N) - 1) / log(self._last / self._first)
         self._logs = np.log(values).tolist()
-        self._below, self._above = float(values[0]) / self._first, float(values[-1]) / self._last
+        self._below = float(values[0]) / self._first
+        self._above = float(values[-1]) / self._last
 
     def at(self, force_N: float) -> float:
-        """The function at a force of at least 0 [N]."""
+        """Return the function at a force of at least 0 [N]."""
         if force_N < self._first:
             return self._below * force_N
         if force_N >= self._last:
@@ -88,7 +91,8 @@ class ForceMap:
     """
 
     def __init__(self, reference: Intensity, observer: Intensity, *, lowest_N: float, knee_N: float) -> None:
-        self._reference, self._observer = reference, observer
+        self._reference = reference
+        self._observer = observer
         need = float(observer.force_N(reference.expected(knee_N)))
         most = float(reference.force_N(observer.expected(knee_N)))
         self.gain = 1.0 if need <= knee_N else most / knee_N
@@ -105,12 +109,12 @@ class ForceMap:
         self.spread = LogTable(felt, np.maximum(observer.spread(felt), 1e-12))
 
     def command_N(self, force_N: ArrayLike) -> Array:
-        """Sizes of force to command [N] for sizes of force at the device [N], exactly, of any shape."""
+        """Return the sizes of force to command [N] for sizes of force at the device [N], exactly, of any shape."""
         forces = np.asarray(force_N, dtype=float)
         first = self.forces_N[0]
         straight = forces * float(self._exact(first)) / first
         return np.where(forces < first, straight, self._exact(np.maximum(forces, first)))
 
     def _exact(self, force_N: ArrayLike) -> Array:
-        """The inverse by closed form, without the straight line."""
+        """Return the inverse by closed form, without the straight line."""
         return self._observer.force_N(self._reference.expected(self.gain * np.asarray(force_N, dtype=float)))

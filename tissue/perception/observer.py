@@ -1,4 +1,4 @@
-"""An observer of force: what is known of a person's intensities and thresholds, and the file it is kept in."""
+"""Observers of force: knowledge about one person, the file that keeps it, and the population of people."""
 
 import json
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from math import exp, log
 from pathlib import Path
 
 import numpy as np
-from scipy.special import expit, logit
+from scipy.special import digamma, expit, logit, polygamma
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
@@ -15,9 +15,19 @@ from meshes.base.file_limits import require_regular
 from meshes.base.file_version import package_version, require_version
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import whole_file
+from tissue.materials.constants import constants
 from tissue.system.outputs import require_new_file
 
-__all__ = ["PARAMETERS", "Observer", "read_observer", "write_observer"]
+__all__ = [
+    "PARAMETERS",
+    "Observer",
+    "Population",
+    "population",
+    "population_observer",
+    "read_observer",
+    "reference_observer",
+    "write_observer",
+]
 
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
 """Stevens' factor and exponent, Weber's fraction and low-force term [N], share of lapses, and relative scatter of a
@@ -32,7 +42,8 @@ BOUNDS = {
     "sigma": (1e-4, 2.0),
 }
 """Plausible medians of a person; what lies outside is an error of units or of a fit."""
-FORMAT, VERSION = "tissue observer", 1
+FORMAT = "tissue observer"
+VERSION = 1
 COORDINATES = ("ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma")
 TO_COORDINATE = dict.fromkeys(PARAMETERS, np.log) | {"beta": np.asarray, "lapse": logit}
 WIDEST = 10.0
@@ -41,7 +52,7 @@ WIDEST = 10.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observer:
-    """What is known of a person: a normal posterior of (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma).
+    """Knowledge about a person: a normal posterior of (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma).
 
     In these coordinates every draw is a possible person: factor, thresholds and scatter are positive (E6), lapses lie
     between 0 and 1.
@@ -69,7 +80,8 @@ class Observer:
     trials: int = 0
 
     def __post_init__(self) -> None:
-        mean, covariance = np.array(self.mean, dtype=float), np.array(self.covariance, dtype=float)
+        mean = np.array(self.mean, dtype=float)
+        covariance = np.array(self.covariance, dtype=float)
         if mean.shape != (6,) or covariance.shape != (6, 6):
             raise InputError(f"mean and covariance must have shapes (6,) and (6, 6), got {mean.shape} and "
                              f"{covariance.shape}: one coordinate for each of {', '.join(PARAMETERS)}")  # fmt: skip
@@ -93,25 +105,15 @@ class Observer:
 
     @classmethod
     def known(
-        cls,
-        name: str,
-        *,
-        alpha: float,
-        beta: float,
-        kappa: float,
-        offset_N: float,
-        lapse: float,
-        sigma: float,
-        spread: Mapping[str, float] | None = None,
-        trials: int = 0,
+        cls, name: str, *, spread: Mapping[str, float] | None = None, trials: int = 0, **medians: float
     ) -> "Observer":
-        """An observer by medians, and by the standard deviations of the coordinates that have one, independent."""
-        given = dict(zip(PARAMETERS, (alpha, beta, kappa, offset_N, lapse, sigma), strict=True))
-        for parameter, value in given.items():
-            require_range(parameter, value, *BOUNDS[parameter], "see perception.toml for what is usual")
-        spreads = [require_range(f"spread of {each}", (spread or {}).get(each, 0.0), 0.0, WIDEST, "use 0.2")
-                   for each in PARAMETERS]  # fmt: skip
-        mean = np.array([TO_COORDINATE[parameter](value) for parameter, value in given.items()])
+        """Return an observer by the medians of all `PARAMETERS` and the independent spreads of their coordinates."""
+        spreads = []
+        for parameter in PARAMETERS:
+            require_range(parameter, medians[parameter], *BOUNDS[parameter], "see perception.toml for what is usual")
+            width = (spread or {}).get(parameter, 0.0)
+            spreads.append(require_range(f"spread of {parameter}", width, 0.0, WIDEST, "use 0.2"))
+        mean = np.array([TO_COORDINATE[parameter](medians[parameter]) for parameter in PARAMETERS])
         return cls(name=name, mean=mean, covariance=np.diag(np.square(spreads)), trials=trials)
 
     @classmethod
@@ -151,7 +153,7 @@ class Observer:
         return exp(self.mean[5])
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Possible values of every parameter, each of shape (count,), drawn together."""
+        """Return the possible values of every parameter, each of shape (count,), drawn together."""
         values, vectors = np.linalg.eigh(self.covariance)
         root = vectors * np.sqrt(values.clip(0.0))
         drawn = self.mean + rng.standard_normal((count, 6)) @ root.T
@@ -207,8 +209,10 @@ def read_observer(path: Path) -> Observer:
         raise InputError(f"observer must be a file of an observer, got {path}, which is something else: {calibrate}")
     require_version("observer", stored, VERSION, key="version", where=path, remedy="calibrate again")
     try:
-        name, trials = str(stored["name"]), int(stored["trials"])
-        mean, covariance = np.array(stored["mean"], dtype=float), np.array(stored["covariance"], dtype=float)
+        name = str(stored["name"])
+        trials = int(stored["trials"])
+        mean = np.array(stored["mean"], dtype=float)
+        covariance = np.array(stored["covariance"], dtype=float)
         if stored["coordinates"] != list(COORDINATES):
             raise ValueError("other coordinates")
     except (KeyError, TypeError, ValueError, OverflowError) as problem:
@@ -222,7 +226,94 @@ def read_observer(path: Path) -> Observer:
 
 
 def _from(parameter: str, coordinate: Array | np.float64) -> Array:
-    """The value at a coordinate."""
+    """Return the value at a coordinate."""
     if parameter == "lapse":
         return np.asarray(expit(coordinate))
     return np.asarray(coordinate if parameter == "beta" else np.exp(np.minimum(coordinate, log(1e300))))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Population:
+    """Law by which people differ: alpha log-normal with mean 1, beta normal, sigma squared inverse-gamma.
+
+    The mean of alpha is 1, because the unit of intensity is free: it is what people feel at 1 N on the average. Weber's
+    fraction and low-force term are log-normal, so that thresholds are positive (E6); the lapse is logit-normal.
+
+    Attributes
+    ----------
+    beta, kappa, offset_N, lapse
+        Medians of Stevens' exponent, Weber's fraction, its low-force term [N] and the share of lapses.
+    sigma
+        Relative scatter of reported intensities: root of the mean of sigma squared.
+    alpha_log_spread, beta_spread, kappa_log_spread, offset_log_spread, lapse_logit_spread
+        Standard deviations over people.
+    sigma_shape
+        Shape of the inverse-gamma law, above 2.
+    """
+
+    beta: float
+    kappa: float
+    offset_N: float
+    lapse: float
+    sigma: float
+    alpha_log_spread: float
+    beta_spread: float
+    kappa_log_spread: float
+    offset_log_spread: float
+    lapse_logit_spread: float
+    sigma_shape: float
+
+    def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
+        """Return the parameters of so many people, each of shape (count,), by the names of an observer's parameters."""
+        normal = rng.standard_normal((5, count))
+        scale = (self.sigma_shape - 1.0) * self.sigma**2
+        return {
+            "alpha": np.exp(self.alpha_log_spread * normal[0] - 0.5 * self.alpha_log_spread**2),
+            "beta": self.beta + self.beta_spread * normal[1],
+            "kappa": self.kappa * np.exp(self.kappa_log_spread * normal[2]),
+            "offset_N": self.offset_N * np.exp(self.offset_log_spread * normal[3]),
+            "lapse": expit(logit(self.lapse) + self.lapse_logit_spread * normal[4]),
+            "sigma": np.sqrt(scale / rng.gamma(self.sigma_shape, size=count)),
+        }
+
+    def observer(self) -> Observer:
+        """Return an observer for an unknown person: the population in the coordinates of an observer.
+
+        All is exact but for sigma, of whose logarithm mean and variance are kept.
+        """
+        scale = (self.sigma_shape - 1.0) * self.sigma**2
+        mean = [
+            -0.5 * self.alpha_log_spread**2,
+            self.beta,
+            np.log(self.kappa),
+            np.log(self.offset_N),
+            logit(self.lapse),
+            0.5 * (np.log(scale) - digamma(self.sigma_shape)),
+        ]
+        spread = [
+            self.alpha_log_spread,
+            self.beta_spread,
+            self.kappa_log_spread,
+            self.offset_log_spread,
+            self.lapse_logit_spread,
+            0.5 * np.sqrt(polygamma(1, self.sigma_shape)),
+        ]
+        return Observer(name="population", mean=np.array(mean), covariance=np.diag(np.square(spread)))
+
+
+def population() -> Population:
+    """Return the population of ``perception.toml``."""
+    known = {name: entry.value for name, entry in constants("perception", "force").items()}
+    return Population(**{name: known[name] for name in Population.__dataclass_fields__})
+
+
+def population_observer() -> Observer:
+    """Return an observer for an unknown person: the population."""
+    return population().observer()
+
+
+def reference_observer() -> Observer:
+    """The person whose intensities others are brought to: the population's medians, known exactly, and alpha 1."""
+    people = population()
+    given = {name: getattr(people, name) for name in PARAMETERS if name != "alpha"}
+    return Observer.known("reference", alpha=1.0, **given)

@@ -1,4 +1,4 @@
-"""What a loop asks of a model of the person who feels."""
+"""Contract of a perceptual model of the person who feels."""
 
 from typing import Protocol
 
@@ -29,11 +29,11 @@ class Perception(Protocol):
     """Whether the last change was above the observer's threshold, and so was rendered."""
 
     def step(self, force_N: Array) -> Array:
-        """Force to command [N], shape (3,), for a force at the device [N], shape (3,)."""
+        """Return the force to command [N], shape (3,), for a force at the device [N], shape (3,)."""
         ...
 
     def pause(self) -> None:
-        """No sample came: nothing is commanded, and the next force counts as a change."""
+        """Reset after a missing sample: command nothing, and count the next force as a change."""
         ...
 
 
@@ -43,7 +43,7 @@ class PerceptionMaker(Protocol):
     def __call__(
         self, argument: str, *, rng: np.random.Generator, force_limit_N: float, tick_s: float, friction_N: float
     ) -> Perception:
-        """A new perception.
+        """Return a new perception.
 
         Parameters
         ----------

@@ -9,7 +9,7 @@ from meshes.base.errors import InputError
 from tissue.cli.main import main
 from tissue.evaluation.assessment import assess, assessment_lines
 from tissue.evaluation.assessment_files import write_assessment
-from tissue.evaluation.statistics.alignment import aligned_rows, deviation_mm
+from tissue.evaluation.statistics.metrics import aligned_rows, deviation_mm
 from tissue.scene.load import load_scene
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.trace import Table, TraceLayout, TraceWriter

@@ -13,7 +13,7 @@ import pytest
 from calibration_sessions import answered
 
 from meshes.base.errors import InputError
-from tissue.evaluation.calibration.run_session import questioner, simulated_observer
+from tissue.evaluation.calibration.answers import questioner, simulated_observer
 from tissue.evaluation.calibration.session import Plan
 from tissue.evaluation.calibration.trial_log import TrialLog, read_log
 from tissue.perception.observer import read_observer

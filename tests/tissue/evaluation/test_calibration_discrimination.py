@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tissue.evaluation.calibration.force_discrimination import (
+from tissue.evaluation.calibration.observers import (
+    SimulatedObservers,
     Stimulus,
     calibrated_commands,
+    draw_observers,
     gain_of,
     share_right,
 )
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers, draw_observers
 from tissue.haptics.loop.filters import ForceRange
-from tissue.perception.population import reference_observer
-from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime
+from tissue.perception.laws import D_PRIME_75, correct_of_d_prime
+from tissue.perception.observer import reference_observer
 from tissue.scene.registry import GROUPS
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from calibration_sessions import answered
 
-from tissue.evaluation.calibration.run_session import simulated_answers, simulated_observer
+from tissue.evaluation.calibration.answers import simulated_answers, simulated_observer
 from tissue.evaluation.calibration.session import Magnitude, Plan
 
 

@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from tissue.evaluation.calibration.intervals import Person, StoppedError, play
+from tissue.evaluation.calibration.answers import Person, StoppedError, play
 from tissue.evaluation.calibration.session import Comparison, Magnitude
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import MouseDevice
@@ -89,7 +89,7 @@ def test_an_interrupted_interval_leaves_no_force():
 def test_a_person_at_the_keyboard_may_stop_and_go_on(command, here, monkeypatch):
     """Answers from standard input; the end of it stops the session, and the same command goes on."""
     monkeypatch.setitem(play.__kwdefaults__, "length_s", 0.01)
-    monkeypatch.setattr("tissue.evaluation.calibration.intervals.PAUSE_S", 0.0)
+    monkeypatch.setattr("tissue.evaluation.calibration.answers.PAUSE_S", 0.0)
 
     def go(*words):
         monkeypatch.setattr("sys.stdin", io.StringIO("".join(f"{word}\n" for word in words)))

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.calibration.fitted_population import fit_population, new_person, pooled_trials
-from tissue.evaluation.calibration.run_session import simulated_answers, simulated_observer
+from tissue.evaluation.calibration.answers import simulated_answers, simulated_observer
+from tissue.evaluation.calibration.observers import draw_observers
+from tissue.evaluation.calibration.population_fit import fit_population, new_person, pooled_trials
 from tissue.evaluation.calibration.session import Plan
-from tissue.evaluation.calibration.simulated_observer import draw_observers
 from tissue.evaluation.calibration.trial_log import TrialLog
+from tissue.perception.adaptive import MAGNITUDE_FORCES_N
 from tissue.perception.hierarchy import HYPER, PopulationFit, PopulationTrials, fit_hierarchy
-from tissue.perception.magnitude import MAGNITUDE_FORCES_N
 from tissue.perception.observer import read_observer
 
 
@@ -117,7 +117,7 @@ def test_the_command_writes_a_population(command, here, monkeypatch):
     (here / "people").mkdir()
     sessions(here / "people", 4, trials=10, numbers=6)
     monkeypatch.setattr(
-        "tissue.evaluation.calibration.fitted_population.fit_hierarchy",
+        "tissue.evaluation.calibration.population_fit.fit_hierarchy",
         lambda trials, seed, progress: a_fit(divergences=2),
     )
     code, out, _ = command("calibrate", "--population", "people", "--out", "all.json")

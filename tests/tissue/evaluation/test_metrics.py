@@ -17,7 +17,6 @@ from tissue.evaluation.statistics.metrics import (
     force_rms_N,
     latency_ms,
     overshoot_mm,
-    position_error_mm,
     spectral_arc_length,
 )
 
@@ -138,10 +137,7 @@ def test_spectral_arc_length_falls_with_every_stop():
     assert all(later < earlier - 0.3 for earlier, later in pairwise(pieces))
 
 
-def test_position_overshoot_and_time():
-    path = np.outer(np.arange(5.0), [1.0, 0.0, 0.0])
-    assert position_error_mm(path + np.array([0.0, 3.0, 4.0]), path) == pytest.approx(5.0, abs=EXACT)
-    assert position_error_mm(path, [2.0, 0.0, 0.0]) == pytest.approx(1.2, abs=EXACT)
+def test_overshoot_and_time():
     assert overshoot_mm([0.0, 9.0, 11.5, 10.0], target_mm=10.0) == 1.5
     assert overshoot_mm([0.0, 9.0], target_mm=10.0) == 0.0
     time = 2.0 + np.arange(6) * 0.5

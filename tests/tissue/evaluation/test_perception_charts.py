@@ -4,8 +4,7 @@ import pytest
 
 from tissue import InputError
 from tissue.evaluation.charts.perception import perception_charts
-from tissue.perception.observer import write_observer
-from tissue.perception.population import reference_observer
+from tissue.perception.observer import reference_observer, write_observer
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """A study: its plan, its folder, and runs that are stopped, resumed and broken, with trials that cost nothing."""
 
 import json
-import os
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,11 +11,9 @@ import pytest
 from meshes.base.errors import InputError
 from tissue.evaluation.study import runner
 from tissue.evaluation.study.folder import StudyFolder
-from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.plan import METHODS, TASKS, Plan, TrialKey
 from tissue.evaluation.study.runner import run_study
-from tissue.evaluation.study.tasks import METHODS, TASKS
 from tissue.evaluation.study.trial import Trial, run_trial, trial_seed
-from tissue.scene.registry import GROUPS
 
 SMALL = Plan(trials=3, tasks=("T2", "needle"), sensitivity=False)
 
@@ -237,7 +234,3 @@ def test_a_trial_alone_is_the_trial_of_its_study_and_fails_alone(monkeypatch):
     monkeypatch.setattr("tissue.evaluation.study.trial.METHODS", dict(METHODS) | broken)
     failed = run_trial(replace(plan, methods=("penalty", "koopman")), key)
     assert all(row["failure"].startswith("InputError: renderer must be one of") for row in failed.rows)
-
-
-def test_groups_and_methods_have_their_names():
-    assert set(Plan().groups) == set(GROUPS) and os.cpu_count()

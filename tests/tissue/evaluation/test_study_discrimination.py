@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from tissue.evaluation.calibration.force_discrimination import Stimulus, chance_right, sensitivity, share_right
-from tissue.evaluation.calibration.simulated_observer import draw_observers
+from tissue.evaluation.calibration.observers import Stimulus, chance_right, draw_observers, sensitivity, share_right
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.felt_pairs import Felt, FeltPair, changes_of, sides, specimens
-from tissue.evaluation.study.measures import intensity_ratios
+from tissue.evaluation.study.discrimination import Felt, FeltPair, changes_of, sides, specimens
+from tissue.evaluation.study.trial import intensity_ratios
 from tissue.haptics.loop.filters import ForceRange
-from tissue.perception.observer import Observer
-from tissue.perception.population import reference_observer
+from tissue.perception.observer import Observer, reference_observer
 
 WIDE = ForceRange(limit_N=1e4)
 PAIRS = [

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tissue import load_scene
-from tissue.evaluation.study import measures
-from tissue.perception.population import reference_observer
+from tissue.evaluation.study import trial as measures
+from tissue.perception.observer import reference_observer
 from tissue.scene.load import changed
 
 TICKS = 1200

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import invgamma, multivariate_t, norm
 
-from tissue.perception.magnitude import PRIOR_MEAN, PRIOR_SCALE, PRIOR_SHAPE, PRIOR_WEIGHT, fit_magnitudes
+from tissue.perception.adaptive import PRIOR_MEAN, PRIOR_SCALE, PRIOR_SHAPE, PRIOR_WEIGHT, fit_magnitudes
 
 FORCES_N = np.array([0.3, 0.6, 1.0, 1.7, 2.4, 3.0])
 NUMBERS = np.array([0.2, 0.5, 0.8, 2.9, 3.7, 7.0])

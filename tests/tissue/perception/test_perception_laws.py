@@ -6,9 +6,8 @@ import pytest
 from tissue import InputError
 from tissue.builders.perception import perception, perception_for
 from tissue.haptics.loop.filters import ForceRange
-from tissue.perception.observer import Observer, write_observer
+from tissue.perception.observer import Observer, reference_observer, write_observer
 from tissue.perception.perception import Perception
-from tissue.perception.population import reference_observer
 
 LIMIT_N, TICK = 3.3, 1e-3
 OBSERVERS = {

@@ -7,10 +7,16 @@ import pytest
 
 from tissue import InputError
 from tissue.materials.constants import constants
-from tissue.perception.deadband import Deadband, held_back
-from tissue.perception.observer import PARAMETERS, Observer, read_observer, write_observer
-from tissue.perception.population import population_observer, reference_observer
-from tissue.perception.weber import Weber, weber
+from tissue.perception.laws import Weber, weber
+from tissue.perception.observer import (
+    PARAMETERS,
+    Observer,
+    population_observer,
+    read_observer,
+    reference_observer,
+    write_observer,
+)
+from tissue.perception.perceived import Deadband, held_back
 
 GIVEN = {"alpha": 0.9, "beta": 1.5, "kappa": 0.06, "offset_N": 0.15, "lapse": 0.03, "sigma": 0.25}
 SPREAD = {"alpha": 0.2, "beta": 0.1, "kappa": 0.15, "offset_N": 0.3, "lapse": 0.5, "sigma": 0.2}

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import tissue
-from tissue.perception.deadband import held_back
+from tissue.perception.laws import weber
 from tissue.perception.observer import Observer, write_observer
-from tissue.perception.weber import weber
+from tissue.perception.perceived import held_back
 
 
 def by_hand(scene, **changes):

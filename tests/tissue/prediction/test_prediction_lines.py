@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue.evaluation.charts.prediction import OURS, Interval, PredictorComparison, comparison_lines
-from tissue.evaluation.training.evaluation import HORIZONS
+from tissue.evaluation.training.train import HORIZONS
 from tissue.scene.registry import PREDICTORS
 
 

@@ -7,10 +7,8 @@ import pytest
 
 from tissue import InputError, load_scene
 from tissue.builders.prediction import predictor, trained_predictor
-from tissue.evaluation.training.evaluation import forecast_errors
-from tissue.evaluation.training.fitting import fit
 from tissue.evaluation.training.recording import Recording
-from tissue.evaluation.training.train import with_fallback
+from tissue.evaluation.training.train import fit, forecast_errors, with_fallback
 from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
 from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.edmd.dictionary import Identity

@@ -7,7 +7,7 @@ from meshes.base.kept import Kept
 from tissue import load_scene, simulate
 from tissue.builders import organ_scene, voxels
 from tissue.cutters import cutter
-from tissue.evaluation.study.tasks import TASKS
+from tissue.evaluation.study.plan import TASKS
 from tissue.haptics.device.device import Sample
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.loop import forecast

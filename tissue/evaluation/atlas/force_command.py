@@ -9,10 +9,9 @@ from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, Curve, pane
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
+from tissue.perception.laws import Intensity, intensity_of
 from tissue.perception.mapping import ForceMap
-from tissue.perception.observer import Observer
-from tissue.perception.population import population_observer, reference_observer
-from tissue.perception.stevens import Intensity, intensity_of
+from tissue.perception.observer import Observer, population_observer, reference_observer
 
 __all__ = ["PAGE"]
 

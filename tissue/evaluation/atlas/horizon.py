@@ -6,8 +6,7 @@ from matplotlib.figure import Figure
 from tissue.evaluation.atlas.drawing import GREEN, GREY, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown
 from tissue.evaluation.atlas.tapping import LIMIT_N, TICK_S, koopman, relative_error, tapped
-from tissue.evaluation.training.evaluation import forecast
-from tissue.evaluation.training.fitting import fit
+from tissue.evaluation.training.train import fit, forecast
 from tissue.prediction.baselines import Kalman, Linear
 from tissue.prediction.contact import Contact
 from tissue.prediction.guard import Guarded

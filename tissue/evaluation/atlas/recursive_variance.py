@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
 from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, error_of, refused, shown, sweep
-from tissue.perception.recursive import LocalLevel
+from tissue.perception.estimate import LocalLevel
 
 __all__ = ["PAGE"]
 

@@ -12,9 +12,8 @@ from tissue.builders.prediction import predictor
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, error_of, refused, shown, sweep
 from tissue.evaluation.atlas.tapping import LIMIT_N, TICK_S, TURN, koopman, relative_error, tapped
-from tissue.evaluation.training.evaluation import forecast
-from tissue.evaluation.training.fitting import fit
 from tissue.evaluation.training.recording import Recording
+from tissue.evaluation.training.train import fit, forecast
 from tissue.prediction.edmd.dictionary import Delays
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode, window

@@ -6,9 +6,9 @@ from scipy.special import ndtr
 
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
 from tissue.evaluation.atlas.page import Answer, Data, Page, Verdict, refused, shown
-from tissue.perception.deadband import held_back
+from tissue.perception.laws import Weber, weber
 from tissue.perception.observer import Observer
-from tissue.perception.weber import Weber, weber
+from tissue.perception.perceived import held_back
 
 __all__ = ["PAGE"]
 

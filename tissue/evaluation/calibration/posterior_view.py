@@ -1,4 +1,4 @@
-"""What a session knows: the posterior of the threshold as text while it goes on, and as a picture at its end."""
+"""Display of a session: posterior of the threshold as text while it runs, and as a picture at its end."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,7 +7,7 @@ import numpy as np
 
 from tissue.evaluation.calibration.session import Session
 from tissue.figures.figure import figure, save
-from tissue.perception.psychometric import D_PRIME_75, correct_of_d_prime, with_lapse
+from tissue.perception.laws import D_PRIME_75, correct_of_d_prime, with_lapse
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,20 +17,24 @@ __all__ = ["draw_session", "posterior_panel"]
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
 HEIGHT = 8
-BLUE, ORANGE, GREY = "#0072B2", "#E69F00", "0.6"
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREY = "0.6"
 
 
 def posterior_panel(session: Session) -> "Panel":
-    """The posterior of the Weber fraction as bars of text, with what is known under it."""
+    """Return the posterior of the Weber fraction as bars of text, with the estimates under it."""
     from rich.panel import Panel
 
     masses = session.threshold.weber_masses()[:, 0]
     eighths = np.rint(8 * HEIGHT * masses / masses.max()).astype(int)
     rows = ["".join(BLOCKS[np.clip(each - 8 * row, 0, 8)] for each in eighths) for row in reversed(range(HEIGHT))]
-    webers, axis = session.plan.prior.webers, [" "] * len(masses)
+    webers = session.plan.prior.webers
+    axis = [" "] * len(masses)
     for tick in (0.02, 0.05, 0.1, 0.2, 0.5):
         if webers[0] <= tick <= webers[-1]:
-            at, word = int(np.argmin(np.abs(np.log(webers / tick)))), f"{100 * tick:g}"
+            at = int(np.argmin(np.abs(np.log(webers / tick))))
+            word = f"{100 * tick:g}"
             axis[at : at + len(word)] = word
     text = "\n".join([*rows, "".join(axis)[: len(masses)] + " %", "", *session.lines()])
     count = session.plan.trials + session.plan.numbers
@@ -64,7 +68,7 @@ def _posterior(session: Session, axes: "Axes") -> None:
 
 
 def _answers(session: Session, axes: "Axes") -> None:
-    """Shares of right answers over the step in thresholds, in bins of equal count."""
+    """Draw the shares of right answers over the step in thresholds, in bins of equal count."""
     weber, offset, lapse = (float(get()[0]) for get in (
         lambda: session.threshold.weber()[0], session.threshold.offset_N, session.threshold.lapse))  # fmt: skip
     steps = np.array([asked.step_N / (weber * (asked.base_N + offset)) for asked, _ in session.asked])
@@ -90,7 +94,8 @@ def _numbers(session: Session, axes: "Axes") -> None:
         axes.text(0.5, 0.5, "no numbers were asked", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
         return
-    fit, (forces, numbers) = session.magnitudes(), np.array(session.given).T
+    fit = session.magnitudes()
+    (forces, numbers) = np.array(session.given).T
     at = np.geomspace(forces.min(), forces.max(), 50)
     axes.loglog(forces, numbers, "o", color=ORANGE, alpha=0.7)
     axes.loglog(at, np.exp(fit.mean[0]) * at ** fit.mean[1], color=BLUE)
@@ -100,6 +105,6 @@ def _numbers(session: Session, axes: "Axes") -> None:
 
 
 def _ticks(axes: "Axes", ticks: list[float]) -> None:
-    """Marks of a logarithmic axis."""
+    """Set the ticks of a logarithmic axis."""
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_xticks([], minor=True)

@@ -7,10 +7,17 @@ from scipy.special import logit
 from scipy.stats import binom
 
 from meshes.base.errors import InputError, require_range
-from tissue.perception.adaptive import EDGE_MASS, AdaptiveThreshold, ThresholdPrior, comparisons
-from tissue.perception.magnitude import MAGNITUDE_FORCES_N, MagnitudePosterior, fit_magnitudes
+from tissue.perception.adaptive import (
+    EDGE_MASS,
+    MAGNITUDE_FORCES_N,
+    AdaptiveThreshold,
+    MagnitudePosterior,
+    ThresholdPrior,
+    comparisons,
+    fit_magnitudes,
+)
+from tissue.perception.laws import two_interval
 from tissue.perception.observer import Observer
-from tissue.perception.psychometric import two_interval
 
 __all__ = ["Comparison", "Magnitude", "Plan", "Session"]
 
@@ -22,7 +29,7 @@ ODD = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a session asks, fixed before its first trial.
+    """Plan of a session, fixed before its first trial.
 
     Attributes
     ----------
@@ -114,7 +121,7 @@ class Session:
         return self.trial == self.plan.trials + self.plan.numbers
 
     def ask(self) -> Comparison | Magnitude:
-        """The next trial: comparisons first, then numbers."""
+        """Return the next trial: comparisons first, then numbers."""
         if len(self.asked) == self.plan.trials:
             return Magnitude(self._forces[len(self.given)])
         index = int(self.threshold.propose()[0])
@@ -145,11 +152,11 @@ class Session:
         self.asked.append((asked, int(answer)))
 
     def magnitudes(self) -> MagnitudePosterior:
-        """Posterior of Stevens' factor and exponent."""
+        """Return the posterior of Stevens' factor and exponent."""
         return fit_magnitudes([force for force, _ in self.given], [number for _, number in self.given])
 
     def observer(self, name: str) -> Observer:
-        """The observer as estimated from the answers so far: mean and covariance of the posteriors."""
+        """Return the observer as estimated from the answers so far: mean and covariance of the posteriors."""
         weber, offset, lapse, _ = self.plan.prior.parameters()
         coordinates = np.array([np.log(weber), np.log(offset), logit(lapse)])
         masses = self.threshold.posterior[:, 0]
@@ -164,7 +171,7 @@ class Session:
         return Observer(name=name, mean=mean, covariance=0.5 * (covariance + covariance.T), trials=self.trial)
 
     def lines(self) -> list[str]:
-        """What is known now, in sentences."""
+        """Return the present estimates as sentences."""
         low, middle, high = (float(q[0]) for q in self.threshold.weber_quantiles(np.array([0.025, 0.5, 0.975])))
         at, _ = self.threshold.threshold_N(REPORTED_N)
         notes = [
@@ -180,8 +187,9 @@ class Session:
         return notes
 
     def notes(self) -> list[str]:
-        """What the answers cannot show, in sentences; empty for an ordinary session."""
-        found, count = [], len(self.asked)
+        """Return the limits of the answers as sentences; empty for an ordinary session."""
+        found = []
+        count = len(self.asked)
         right = sum(answer == asked.greater for asked, answer in self.asked)
         high = float(self.threshold.weber_quantiles(np.array([0.95]))[0, 0])
         if count >= 10 and right == count:
@@ -226,7 +234,8 @@ class Session:
         base, step = (np.array([getattr(asked, name) for asked, _ in self.asked]) for name in ("base_N", "step_N"))
         right = two_interval(base, step, weber[likeliest], offset[likeliest], lapse[likeliest])
         was = np.array([answer == asked.greater for asked, answer in self.asked])
-        logs, other = np.log(np.where(was, right, 1.0 - right)), np.log(np.where(was, 1.0 - right, right))
+        logs = np.log(np.where(was, right, 1.0 - right))
+        other = np.log(np.where(was, 1.0 - right, right))
         chance = np.where(was, right, 1.0 - right)
         mean = chance * logs + (1.0 - chance) * other
         variance = chance * (1.0 - chance) * (logs - other) ** 2

@@ -14,11 +14,12 @@ from tissue.perception.adaptive import ThresholdPrior
 
 __all__ = ["TrialLog", "log_path", "read_log"]
 
-FORMAT, VERSION = "tissue trials", 1
+FORMAT = "tissue trials"
+VERSION = 1
 
 
 def log_path(out: Path) -> Path:
-    """Where the trials of an observer's file are logged, beside it: observer.json has observer.trials.jsonl."""
+    """Return the path of the trial log next to an observer's file: observer.json has observer.trials.jsonl."""
     return out.with_name(out.stem + ".trials.jsonl")
 
 
@@ -50,13 +51,15 @@ class TrialLog:
     def __init__(self, path: Path, observer: str, plan: Plan) -> None:
         about = {"format": FORMAT, "version": VERSION, "tissue": package_version(), "observer": observer}
         head = json.dumps(about | {"plan": asdict(plan)}) + "\n"
-        self.path, self.mended = require_regular(path), False
+        self.path = require_regular(path)
+        self.mended = False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             text = path.read_bytes() if path.exists() else b""
             if head.encode().startswith(text):
                 self.mended = 0 < len(text) < len(head)
-                self.session, kept = Session(plan), head.encode()
+                self.session = Session(plan)
+                kept = head.encode()
             else:
                 who, self.session = read_log(path)
                 if who != observer or self.session.plan != plan:
@@ -93,7 +96,7 @@ class TrialLog:
 
 
 def read_log(path: Path) -> tuple[str, Session]:
-    """Who answered, and the session as a file restores it; a line that was cut short at the end is left out.
+    """Read a log: return who answered, and the session without a last line that was cut short.
 
     Raises
     ------
@@ -139,11 +142,13 @@ def read_log(path: Path) -> tuple[str, Session]:
 
 
 def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
-    """A line's trial, answer and number."""
+    """Return a line's trial, answer and number."""
     entry = read_json(line)
     if not isinstance(entry, dict):
         raise ValueError(f"{line[:40]}")
-    trial, answer, what = entry.pop("trial"), entry.pop("answer"), entry.pop("ask")
+    trial = entry.pop("trial")
+    answer = entry.pop("answer")
+    what = entry.pop("ask")
     if isinstance(answer, bool) or not isinstance(answer, int | float):
         raise InputError(f"answer must be a number, got {answer!r}")
     kinds = {"comparison": Comparison, "magnitude": Magnitude}
@@ -151,7 +156,7 @@ def _entry(line: str) -> tuple[Comparison | Magnitude, float, int]:
 
 
 def _difference(who: str, held: Plan, observer: str, plan: Plan) -> str:
-    """What differs between the session in a file and the one that was asked for."""
+    """Return the difference between the session in a file and the requested one."""
     if who != observer:
         return f"observer {who} instead of {observer}"
     name = next(name for name in vars(plan) if getattr(held, name) != getattr(plan, name))

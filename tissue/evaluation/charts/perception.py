@@ -10,13 +10,10 @@ from tissue.figures.figure import figure, save
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
-from tissue.perception.deadband import held_back
-from tissue.perception.estimate import log_posterior, map_force_N
-from tissue.perception.observer import Observer, read_observer
-from tissue.perception.population import population, population_observer, reference_observer
-from tissue.perception.sensitivity import map_estimate_errors, recursive_estimate_errors
-from tissue.perception.stevens import intensity_of
-from tissue.perception.weber import weber_of
+from tissue.perception.estimate import log_posterior, map_estimate_errors, map_force_N, recursive_estimate_errors
+from tissue.perception.laws import intensity_of, weber_of
+from tissue.perception.observer import Observer, population, population_observer, read_observer, reference_observer
+from tissue.perception.perceived import held_back
 from tissue.scene.load import load_scene
 from tissue.simulation.simulate import simulate
 from tissue.system.owned_folder import owned_folder

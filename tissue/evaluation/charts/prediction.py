@@ -14,10 +14,8 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.builders.prediction import trained_predictor
 from tissue.evaluation.charts.prediction_picture import draw_scene, draw_tasks
-from tissue.evaluation.training.evaluation import HORIZONS, forecast_errors
-from tissue.evaluation.training.fitting import fit
 from tissue.evaluation.training.recording import Recorder, Recording, trial
-from tissue.evaluation.training.train import MOST_TRIALS
+from tissue.evaluation.training.train import HORIZONS, MOST_TRIALS, fit, forecast_errors
 from tissue.haptics.device.device import device_parameters
 from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.predictor import Predictor

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissue.evaluation.charts.picture import plain_numbers
-from tissue.evaluation.training.evaluation import HORIZONS
+from tissue.evaluation.training.train import HORIZONS
 from tissue.figures.figure import figure, save
 from tissue.scene.registry import PREDICTORS
 

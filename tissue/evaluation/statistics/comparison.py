@@ -1,31 +1,52 @@
-"""One metric of one study compared: every test in order, its assumptions checked, with the tests that rest on less."""
+"""Comparison of one metric: tests with checked assumptions, tests with fewer assumptions, and all pairs at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
+from typing import Literal
 
 import numpy as np
-from scipy.stats import levene
+from numpy.typing import ArrayLike
+from scipy.stats import levene, studentized_range, ttest_rel, tukey_hsd
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.effects import cohens_d, partial_eta_squared
 from tissue.evaluation.statistics.hypothesis_test import (
     ALPHA,
+    LEVEL,
     Assumption,
     Effect,
     HypothesisTest,
+    cohens_d,
     format_p,
+    normal_residuals,
+    partial_eta_squared,
     require_statsmodels,
 )
 from tissue.evaluation.statistics.mixed import MixedModel, mixed_model
-from tissue.evaluation.statistics.normality import normal_residuals
-from tissue.evaluation.statistics.robust import friedman, hotelling, kruskal_wallis, permutation, welch
-from tissue.evaluation.statistics.strata import group_means, mauchly, scores_of, strata
+from tissue.evaluation.statistics.strata import (
+    friedman,
+    group_means,
+    hotelling,
+    kruskal_wallis,
+    mauchly,
+    permutation,
+    scores_of,
+    strata,
+    welch,
+)
 from tissue.evaluation.statistics.trials import Cells, TrialTable
-from tissue.evaluation.statistics.tukey import tukey_groups, tukey_levels
 
-__all__ = ["MetricComparison", "across_tasks", "compare", "stratum_test"]
+__all__ = [
+    "MetricComparison",
+    "across_tasks",
+    "compare",
+    "corrected",
+    "stratum_test",
+    "tukey_groups",
+    "tukey_levels",
+]
 
 SINGULAR = 1e-9
 """Share of all variation below which a direction has none but rounding."""
@@ -80,7 +101,8 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
     """
     require_statsmodels()
     cells = table.where(task=task).cells(metric)
-    level_count, group_count = cells.values.shape[1], len(cells.group_names)
+    level_count = cells.values.shape[1]
+    group_count = len(cells.group_names)
     if level_count < 2 and group_count < 2:
         raise InputError("table must hold two methods or two groups, got one of each: there is nothing to compare")
     wanted = [((0,), False)] * (level_count > 1) + [((), True)] * (group_count > 1)
@@ -100,7 +122,7 @@ def compare(table: TrialTable, metric: str, *, task: str, rng: np.random.Generat
 
 
 def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
-    """The mixed model over all tasks, each test with the exact one of its stratum and those that rest on less.
+    """Fit the mixed model over all tasks, each test with the exact one of its stratum and those that rest on less.
 
     A question whose stratum holds no variation keeps the model's test alone.
     """
@@ -121,7 +143,7 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
 
 
 def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator) -> HypothesisTest:
-    """The exact test of one effect with its checks, and the tests that rest on less.
+    """Test one effect exactly, with its checks and the tests that rest on less.
 
     Parameters
     ----------
@@ -134,7 +156,9 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
     rng
         Shuffles labels.
     """
-    values, groups, sizes = cells.values, cells.groups, cells.sizes
+    values = cells.values
+    groups = cells.groups
+    sizes = cells.sizes
     name = " x ".join((["group"] if between else []) + [cells.factors[index][0] for index in within])
     question = f"{cells.metric}: {name}"
     found = strata(values, groups, sizes, within, between=between)
@@ -180,7 +204,7 @@ def stratum_test(cells: Cells, within: tuple[int, ...], *, between: bool, rng: n
 
 
 def _sizes(samples: Sequence[Array] | Array, names: Sequence[str], *, paired: bool) -> tuple[Effect, ...]:
-    """Cohen's d of every pair of samples."""
+    """Return Cohen's d of every pair of samples."""
     found = []
     for (before, first), (after, second) in combinations(zip(names, samples, strict=True), 2):
         size = cohens_d(second, first, paired=paired)
@@ -189,14 +213,119 @@ def _sizes(samples: Sequence[Array] | Array, names: Sequence[str], *, paired: bo
 
 
 def _sphericity(scores: Array, groups: Ints, epsilon: float) -> Assumption:
-    """Mauchly's test, with Greenhouse and Geisser's epsilon."""
+    """Run Mauchly's test, with Greenhouse and Geisser's epsilon."""
     p = mauchly(scores, groups)
     # NaN, where users are too few for the test, counts as not shown.
     return Assumption("sphericity", bool(p >= ALPHA), f"Mauchly {format_p(p)}, epsilon {epsilon:.2f}")
 
 
 def _equal_variances(scores: Array, groups: Ints) -> Assumption:
-    """Levene's test about medians (Brown and Forsythe 1974), the least p of the columns, by Bonferroni."""
+    """Run Levene's test about medians (Brown and Forsythe 1974): smallest p of the columns, by Bonferroni."""
     found = levene(*(scores[groups == group] for group in range(groups.max() + 1)), axis=0).pvalue
     p = min(1.0, len(found) * float(found.min()))
     return Assumption("equal variances of groups", p >= ALPHA, f"Brown-Forsythe {format_p(p)}")
+
+
+def tukey_groups(samples: Sequence[ArrayLike], names: Sequence[str], *, metric: str) -> tuple[HypothesisTest, ...]:
+    """Compare every pair of groups by Tukey and Kramer's test, and by Games and Howell's for unequal variances.
+
+    Parameters
+    ----------
+    samples
+        Values of each group, one a user, two or more, each of shape (users,).
+    names
+        Names of the groups.
+    metric
+        What is compared, for the sentence.
+
+    Returns
+    -------
+    tuple of HypothesisTest
+        In the order of pairs (0, 1), (0, 2), ...; effects are differences of means with simultaneous intervals.
+
+    Raises
+    ------
+    InputError
+        If no group varies within.
+    """
+    groups = [np.asarray(each, dtype=float) for each in samples]
+    if max(np.ptp(group) for group in groups) == 0.0:
+        raise InputError("groups must vary within, got constants: a difference has then no error to be held against")
+    pooled = tukey_hsd(*groups)
+    unequal = tukey_hsd(*groups, equal_var=False)
+    ends = pooled.confidence_interval(LEVEL)
+    found = []
+    for pair in combinations(range(len(groups)), 2):
+        at = pair[::-1]
+        question = f"{metric}: {names[pair[1]]} minus {names[pair[0]]}"
+        difference = float(pooled.statistic[at])
+        effect = Effect("difference", difference, float(ends.low[at]), float(ends.high[at]))
+        other = HypothesisTest("Games-Howell", question, "difference", difference, (), float(unequal.pvalue[at]))
+        found.append(
+            HypothesisTest(
+                "Tukey HSD", question, "difference", difference, (), float(pooled.pvalue[at]), effect,
+                alternatives=(other,),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def tukey_levels(values: Array, names: Sequence[str], groups: Ints, *, metric: str) -> tuple[HypothesisTest, ...]:
+    """Compare every pair of levels that all users met by Tukey's test, and by paired t tests corrected by Holm.
+
+    The error is how differently users take the levels (their interaction), pooled over levels, which needs sphericity;
+    the paired test does not.
+
+    Parameters
+    ----------
+    values
+        Cell means, shape (users, levels).
+    names
+        Names of the levels.
+    groups
+        Group of every user, shape (users,); effects of groups and how they differ with the level leave the error.
+    metric
+        What is compared, for the sentence.
+    """
+    found = strata(values, groups, (values.shape[1],), (0,), between=False)
+    counts = np.bincount(groups)
+    means = group_means(values, groups).mean(axis=0)
+    error = float(np.sqrt(float(found.error_square) * (1.0 / counts).sum() / len(counts) ** 2))
+    degrees = (len(means), found.degrees[1])
+    pairs = list(combinations(range(len(names)), 2))
+    raw = [ttest_rel(values[:, b], values[:, a]) for a, b in pairs]
+    p_values = corrected([float(each.pvalue) for each in raw], "holm")
+    tests = []
+    for pair, each, p in zip(pairs, raw, p_values, strict=True):
+        a, b = pair
+        question = f"{metric}: {names[b]} minus {names[a]}"
+        difference = float(means[b] - means[a])
+        statistic = abs(difference) / error
+        reach = _critical(*degrees) * error
+        effect = Effect("difference", difference, difference - reach, difference + reach)
+        tukey_p = float(studentized_range.sf(statistic, *degrees))
+        other = HypothesisTest("paired t, Holm", question, "t", float(each.statistic), (float(each.df),), p)
+        tests.append(
+            HypothesisTest(
+                "Tukey HSD within users", question, "q", statistic, degrees, tukey_p, effect, alternatives=(other,)
+            )
+        )
+    return tuple(tests)
+
+
+def corrected(p_values: Sequence[float], correction: Literal["bonferroni", "holm"]) -> list[float]:
+    """P values of a family of tests, corrected so that one false alarm in the family stays at the nominal chance.
+
+    Holm's (1979) correction rests on no more than Bonferroni's and never rejects less.
+    """
+    if not p_values:
+        return []
+    from statsmodels.stats.multitest import multipletests
+
+    return multipletests(p_values, method=correction)[1].tolist()
+
+
+@cache
+def _critical(count: int, below: float) -> float:
+    """Return the studentized range that :data:`LEVEL` of families stay below; cached, as it takes 0.3 s."""
+    return float(studentized_range.ppf(LEVEL, count, below))

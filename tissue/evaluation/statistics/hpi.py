@@ -8,7 +8,7 @@ import numpy as np
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics.hypothesis_test import LEVEL, Assumption, Effect
-from tissue.evaluation.statistics.resampling import drawn_users
+from tissue.evaluation.statistics.power import drawn_users
 from tissue.evaluation.statistics.trials import TrialTable
 
 __all__ = ["Index", "composite_index", "weights_of"]
@@ -54,7 +54,7 @@ class Index:
 
 
 def weights_of(standard: Array) -> tuple[Array, Array, Array]:
-    """Squared loadings of the first principal component.
+    """Return the squared loadings of the first principal component.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def weights_of(standard: Array) -> tuple[Array, Array, Array]:
 def composite_index(
     table: TrialTable, directions: Mapping[str, int], *, rng: np.random.Generator, count: int = 2000
 ) -> Index:
-    """Composite index with weights from the first principal component.
+    """Compute the composite index with weights from the first principal component.
 
     Metrics are oriented (higher is better) and standardised within each task, whose scales differ, then weighted by the
     squared loadings of the first component of their correlation. Published weights from raw metrics have mixed signs
@@ -154,7 +154,7 @@ def _resampled(scaled: Array, person: Ints, method: Ints, times: Array, method_c
 
 
 def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumption, ...]:
-    """Whether one number may represent these metrics."""
+    """Check whether one number may represent these metrics."""
     agree = bool((loadings > -1e-9).all())
     gap = float(variances[0] / max(float(variances[1]), 1e-300))
     widest = float((spread[1] - spread[0]).max())
@@ -176,5 +176,5 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
 
 
 def _effects(names: Sequence[str], values: Array, limits: Array) -> tuple[Effect, ...]:
-    """Values by name with the limits of each, shape (2, values)."""
+    """Return the values by name with the limits of each, shape (2, values)."""
     return tuple(Effect(*each) for each in zip(names, values.tolist(), *limits.tolist(), strict=True))

@@ -5,16 +5,20 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from scipy.stats import f
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.hypothesis_test import Assumption, HypothesisTest, format_p, require_statsmodels
-from tissue.evaluation.statistics.normality import mardia
-from tissue.evaluation.statistics.strata import group_means, scores_of
+from tissue.evaluation.statistics.hypothesis_test import (
+    Assumption,
+    HypothesisTest,
+    format_p,
+    mardia,
+    require_statsmodels,
+)
+from tissue.evaluation.statistics.strata import group_means, pillai, scores_of, shuffled_p, shuffled_users
 from tissue.evaluation.statistics.trials import TrialTable
 
-__all__ = ["STATISTICS", "manova", "multivariate", "pillai"]
+__all__ = ["STATISTICS", "manova", "multivariate"]
 
 STATISTICS = ("Pillai's trace", "Wilks' lambda", "Hotelling-Lawley trace", "Roy's greatest root")
 
@@ -59,7 +63,7 @@ def multivariate(
     rng: np.random.Generator,
     permutations: int = 1999,
 ) -> HypothesisTest:
-    """Multivariate analysis of variance by statsmodels, with its checks and its permutation test.
+    """Run a multivariate analysis of variance by statsmodels, with its checks and its permutation test.
 
     Parameters
     ----------
@@ -78,8 +82,8 @@ def multivariate(
         Pillai's trace, the most robust of the four (Olson 1974), with the other three and a permutation test beside it.
     """
     counts = np.bincount(groups)
-    degrees, width = len(scores) - len(counts), scores.shape[1]
-    if degrees <= width:
+    width = scores.shape[1]
+    if len(scores) - len(counts) <= width:
         raise InputError(
             f"users must outnumber groups and columns, got {len(scores)} users, {len(counts)} groups and {width} "
             "columns: add users or drop metrics"
@@ -96,7 +100,9 @@ def multivariate(
             f"columns must not be multiples of one another, got {question}: drop a metric that repeats another"
         )
     member = np.equal.outer(groups, np.arange(len(counts))).astype(float)
-    hypothesis = np.eye(len(counts))[:-1] - np.eye(len(counts))[1:] if between else np.full((1, len(counts)), 1.0)
+    hypothesis = np.full((1, len(counts)), 1.0)
+    if between:
+        hypothesis = np.eye(len(counts))[:-1] - np.eye(len(counts))[1:]
     frame = MANOVA(scaled, member).mv_test([("effect", hypothesis)])["effect"]["stat"]
     first, *others = (
         HypothesisTest(
@@ -105,59 +111,22 @@ def multivariate(
         )
         for name, row in zip(STATISTICS, frame.loc[list(STATISTICS)].astype(float).to_dict("records"), strict=True)
     )  # fmt: skip
-    shuffled = _permuted(scaled, groups, between=between, question=question, rng=rng, count=permutations)
-    assumptions = (mardia(residuals), *([_equal_covariances(scaled, groups)] if len(counts) > 1 else []))
-    return replace(first, assumptions=assumptions, alternatives=(shuffled, *others))
-
-
-def pillai(scores: Array, groups: Ints, *, between: bool) -> tuple[Array, Array]:
-    """Pillai's trace and its p by the usual F over many populations (Pillai 1955).
-
-    Parameters
-    ----------
-    scores
-        Shape (..., users, columns).
-    groups
-        Group of every user, shape (users,).
-    between
-        As for :func:`multivariate`.
-    """
-    counts = np.bincount(groups)
-    means = group_means(scores, groups)
-    residuals = scores - means[..., groups, :]
-    error = np.swapaxes(residuals, -1, -2) @ residuals
+    # Groups are shuffled among users; differences within users have their signs turned.
     if between:
-        apart = (means - (counts @ means / counts.sum())[..., None, :]) * np.sqrt(counts)[:, None]
-        effect, above = np.swapaxes(apart, -1, -2) @ apart, len(counts) - 1
+        shuffled = shuffled_users(scaled, permutations, rng)
     else:
-        middle = means.mean(axis=-2)
-        effect = middle[..., :, None] * middle[..., None, :] * len(counts) ** 2 / (1.0 / counts).sum()
-        above = 1
-    trace = np.trace(np.linalg.solve(effect + error, effect), axis1=-2, axis2=-1)
-    below, width = groups.size - len(counts), scores.shape[-1]
-    rank = min(width, above)
-    m, n = 0.5 * (abs(width - above) - 1), 0.5 * (below - width - 1)
-    degrees = rank * (2 * m + rank + 1), rank * (2 * n + rank + 1)
-    statistic = trace / degrees[0] / ((rank - trace) / degrees[1])
-    return np.asarray(trace), np.asarray(f.sf(statistic, *degrees))
-
-
-def _permuted(
-    scores: Array, groups: Ints, *, between: bool, question: str, rng: np.random.Generator, count: int
-) -> HypothesisTest:
-    """Pillai's trace against shuffled groups, or against users whose differences have their signs turned."""
-    measured = float(pillai(scores, groups, between=between)[0])
-    if between:
-        shuffled = scores[rng.permuted(np.tile(np.arange(len(groups)), (count, 1)), axis=1)]
-    else:
-        shuffled = scores * rng.choice([-1.0, 1.0], (count, len(groups), 1))
-    others, _ = pillai(shuffled, groups, between=between)
-    p = (1 + int((others >= measured * (1.0 - 1e-12)).sum())) / (count + 1)
-    return HypothesisTest("permutation of Pillai's trace", question, "V", measured, (), p)
+        shuffled = scaled * rng.choice([-1.0, 1.0], (permutations, len(groups), 1))
+    trace = float(pillai(scaled, groups, between=between).trace)
+    p = shuffled_p(trace, pillai(shuffled, groups, between=between).trace)
+    permuted = HypothesisTest("permutation of Pillai's trace", question, "V", trace, (), p)
+    assumptions = [mardia(residuals)]
+    if len(counts) > 1:
+        assumptions.append(_equal_covariances(scaled, groups))
+    return replace(first, assumptions=tuple(assumptions), alternatives=(permuted, *others))
 
 
 def _equal_covariances(scores: Array, groups: Ints) -> Assumption:
-    """Box's (1949) M test, by statsmodels."""
+    """Run Box's (1949) M test, by statsmodels."""
     from statsmodels.stats.multivariate import test_cov_oneway
 
     counts = np.bincount(groups)

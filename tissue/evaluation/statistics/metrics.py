@@ -1,14 +1,16 @@
-"""Metrics of one trial: force error, latency, smoothness of the motion, distance from the aim."""
+"""Metrics of one trial: force error, latency, smoothness, distance from the target, alignment of two paths."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive
 
 __all__ = [
     "acceleration_change_m_s2",
+    "aligned_rows",
     "completion_time_s",
+    "deviation_mm",
     "excess_error",
     "excess_travel_mm",
     "force_error",
@@ -16,7 +18,6 @@ __all__ = [
     "force_rms_N",
     "latency_ms",
     "overshoot_mm",
-    "position_error_mm",
     "spectral_arc_length",
 ]
 
@@ -26,10 +27,12 @@ SPARC_AMPLITUDE = 0.05
 """Share of the spectrum's peak below which it is noise (Balasubramanian et al. 2015)."""
 SPARC_PADDING = 4
 """Powers of two by which the spectrum is sampled finer (Balasubramanian et al. 2015)."""
+POINTS = 800
+"""Samples of either path that the alignment goes over; distances are refined between them."""
 
 
 def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Normalised L2 error ||F - F_ideal|| / ||F_ideal|| over all ticks and components; 0 is perfect.
+    """Compute the normalised L2 error ||F - F_ideal|| / ||F_ideal|| over all ticks and components.
 
     Parameters
     ----------
@@ -49,7 +52,7 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
 
 def excess_error(error: float, least_error: float) -> float:
-    """What is left of an error beside the least one: sqrt(error^2 - least^2), 0 where it is no greater.
+    """Compute the excess over the least error, sqrt(error^2 - least^2); 0 where the error is smaller.
 
     The least error is that of a perfect force through the same device. Errors that do not depend on each other add in
     squares, so this is the part that a better force could save.
@@ -58,7 +61,7 @@ def excess_error(error: float, least_error: float) -> float:
 
 
 def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Mean over ticks of the size of the force's error [N]; arguments as for :func:`force_error`."""
+    """Return the mean over ticks of the size of the force's error [N]; arguments as for :func:`force_error`."""
     force, ideal = _pair("force_N", force_N, "ideal_N", ideal_N)
     return float(np.linalg.norm(force - ideal, axis=1).mean())
 
@@ -70,7 +73,7 @@ def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
 
 def latency_ms(force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest_ms: float = 50.0) -> float:
-    """How far the played force lags the ideal one [ms]: the shift at which the two correlate best.
+    """Compute the lag of the played force behind the ideal one [ms]: the shift of best correlation.
 
     The correlation is taken over the overlap, its peak by a parabola through three shifts. A force that leads, as a
     predicted one may, gives a negative value.
@@ -111,7 +114,7 @@ def latency_ms(force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest
 
 
 def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Mean size of the change of acceleration from tick to tick [m/s^2]; lower is smoother.
+    """Return the mean size of the change of acceleration from tick to tick [m/s^2]; lower is smoother.
 
     This is the published "smoothness index" as its formula prints it: mean |dv[i+1]/dt - dv[i]/dt|. It is a jerk times
     the tick, so it is compared only between trials of one tick, and it grows with roughness, though its published
@@ -164,13 +167,6 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     return -float(steps.sum())
 
 
-def position_error_mm(position_mm: ArrayLike, target_mm: ArrayLike) -> float:
-    """Mean distance of the tip from where it should be [mm], shapes (ticks, 3) and (ticks, 3) or (3,)."""
-    position = _signal("position_mm", position_mm, at_least=1)
-    target = np.broadcast_to(_signal("target_mm", np.atleast_2d(target_mm), at_least=1), position.shape)
-    return float(np.linalg.norm(position - target, axis=1).mean())
-
-
 def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
     """Time from the first tick until the task is done and stays done [s]; infinite if it is not done at the end.
 
@@ -190,12 +186,12 @@ def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
 
 
 def overshoot_mm(depth_mm: ArrayLike, *, target_mm: float) -> float:
-    """How far the tip went beyond its target depth [mm], zero if it did not; `depth_mm` has shape (ticks,)."""
+    """Compute the overshoot of the tip beyond its target depth [mm], at least 0; `depth_mm` has shape (ticks,)."""
     return max(0.0, float(_signal("depth_mm", depth_mm, at_least=1).max()) - target_mm)
 
 
 def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
-    """How much deeper the tip went after a puncture than it was then [mm]; `depth_mm` has shape (ticks,).
+    """Compute the travel of the tip beyond its depth at a puncture [mm]; `depth_mm` has shape (ticks,).
 
     Raises
     ------
@@ -209,15 +205,16 @@ def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
 
 
 def _correlation(force: Array, ideal: Array, shift: int) -> float:
-    """Correlation of force[t + shift] with ideal[t] over the ticks that both have."""
+    """Return the correlation of force[t + shift] with ideal[t] over the ticks that both have."""
     late, early = (force[shift:], ideal[: len(ideal) - shift]) if shift >= 0 else (force[:shift], ideal[-shift:])
-    late, early = late - late.mean(axis=0), early - early.mean(axis=0)
+    late = late - late.mean(axis=0)
+    early = early - early.mean(axis=0)
     sizes = float(np.linalg.norm(late) * np.linalg.norm(early))
     return float((late * early).sum()) / sizes if sizes > 0.0 else -1.0
 
 
 def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
-    """Samples as an array of shape (ticks, components), all finite."""
+    """Return the samples as an array of shape (ticks, components), all finite."""
     array = np.asarray(values, dtype=float)
     if array.ndim not in (1, 2) or len(array) < at_least:
         raise InputError(
@@ -231,11 +228,86 @@ def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
 
 
 def _pair(first_name: str, first: ArrayLike, second_name: str, second: ArrayLike) -> tuple[Array, Array]:
-    """Two signals of one shape."""
-    one, other = _signal(first_name, first, at_least=1), _signal(second_name, second, at_least=1)
+    """Return two signals of one shape."""
+    one = _signal(first_name, first, at_least=1)
+    other = _signal(second_name, second, at_least=1)
     if one.shape != other.shape:
         raise InputError(
             f"{first_name} must have the shape of {second_name}, got {one.shape} and {other.shape}: "
             "pass both on the same ticks"
         )
     return one, other
+
+
+def aligned_rows(path: Array, model: Array) -> Ints:
+    """Return the row of the model that each row of a path corresponds to, never falling (Sakoe and Chiba 1978).
+
+    The sum of distances over pairs is smallest among all orders of passing through both paths without going back. Both
+    start at their first points. The alignment may end before the last point of the model, because a path that is
+    right as far as it goes deviates nowhere.
+
+    Parameters
+    ----------
+    path, model
+        Points in time, any unit, shapes (n, d) and (m, d).
+
+    Returns
+    -------
+    NDArray
+        Shape (n,), from 0 to m - 1.
+
+    Raises
+    ------
+    InputError
+        If a path is empty, or they differ in their dimension.
+    """
+    if path.ndim != 2 or model.ndim != 2 or not len(path) or not len(model) or path.shape[1] != model.shape[1]:
+        raise InputError(
+            f"path and model must have shapes (n, d) and (m, d), got {path.shape} and {model.shape}: cut both"
+        )
+    ours, theirs = (
+        np.unique(np.linspace(0, len(each) - 1, min(POINTS, len(each))).round().astype(int)) for each in (path, model)
+    )
+    cost = np.linalg.norm(path[ours][:, None] - model[theirs][None], axis=2)
+    n, m = cost.shape
+    total = np.full((n + 1, m + 1), np.inf)
+    total[0, 0] = 0.0
+    for diagonal in range(n + m - 1):  # all cells of one diagonal depend only on those of the two before
+        i = np.arange(max(0, diagonal - m + 1), min(n, diagonal + 1))
+        j = diagonal - i
+        before = np.minimum(np.minimum(total[i, j + 1], total[i + 1, j]), total[i, j])
+        total[i + 1, j + 1] = cost[i, j] + before
+    at = np.zeros(n)
+    met = np.zeros(n)
+    row = n
+    column = 1 + int(np.argmin(total[n, 1:]))
+    while row > 0 and column > 0:
+        at[row - 1] += theirs[column - 1]
+        met[row - 1] += 1
+        steps = (total[row - 1, column - 1], total[row - 1, column], total[row, column - 1])
+        back = int(np.argmin(steps))
+        row -= int(back != 2)
+        column -= int(back != 1)
+    return np.interp(np.arange(len(path)), ours, at / met).round().astype(np.int64)
+
+
+def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
+    """Return the distance of each point from the model's path near its aligned row [mm], shape (n,).
+
+    Parameters
+    ----------
+    path, model
+        Points in time [mm], shapes (n, d) and (m, d).
+    rows
+        Row of the model for each point, from :func:`aligned_rows`, shape (n,).
+    """
+    reach = 2 * int(np.ceil(max(len(path), len(model)) / POINTS)) + 2
+    best = np.full(len(path), np.inf)
+    for shift in range(-reach, reach):
+        start = np.clip(rows + shift, 0, max(0, len(model) - 2))
+        edge = model[np.minimum(start + 1, len(model) - 1)] - model[start]
+        length = (edge**2).sum(axis=1)
+        along = ((path - model[start]) * edge).sum(axis=1) / np.where(length > 0.0, length, 1.0)
+        foot = model[start] + np.clip(along, 0.0, 1.0)[:, None] * edge
+        best = np.minimum(best, np.linalg.norm(path - foot, axis=1))
+    return best

@@ -1,4 +1,4 @@
-"""How often the tests of a study err: thousands of simulated or redrawn populations at once."""
+"""Error rates of the tests of a study: thousands of simulated or redrawn populations at once."""
 
 from dataclasses import dataclass
 
@@ -8,11 +8,10 @@ from scipy.stats import binomtest
 
 from meshes.base.arrays import Array, Ints
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, LEVEL, Effect
-from tissue.evaluation.statistics.resampling import drawn_users
 from tissue.evaluation.statistics.strata import group_means, strata
 from tissue.evaluation.statistics.trials import Cells
 
-__all__ = ["Power", "redrawn_power", "rejection_rates"]
+__all__ = ["Power", "drawn_users", "redrawn_power", "rejection_rates"]
 
 POPULATIONS = 10_000
 """Enough for an error rate of 5 % to be known to 0.4 %."""
@@ -21,7 +20,7 @@ TESTS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), 
 
 @dataclass(frozen=True)
 class Power:
-    """How often one test rejects.
+    """Rejection rates of one test.
 
     Attributes
     ----------
@@ -50,8 +49,27 @@ class Power:
         )
 
 
+def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
+    """Draw users with replacement, as many in each group as it has, in the order of groups.
+
+    Parameters
+    ----------
+    groups
+        Group of every user, 0 to G - 1, shape (users,).
+    count
+        Number of populations.
+
+    Returns
+    -------
+    Ints
+        Indices of users, shape (count, users).
+    """
+    members = (np.flatnonzero(groups == group) for group in range(int(groups.max()) + 1))
+    return np.concatenate([each[rng.integers(len(each), size=(count, len(each)))] for each in members], axis=1)
+
+
 def redrawn_power(cells: Cells, *, rng: np.random.Generator, populations: int = POPULATIONS) -> tuple[Power, ...]:
-    """Error rates with users drawn again from a study, whatever their distribution.
+    """Estimate the error rates with users drawn again from a study, whatever their distribution.
 
     The null hypothesis is made true by taking the means of each group and method out; what is left of n users is
     stretched by sqrt(n / (n - 1)), since redrawn users vary by that much less than new ones. Power is that of finding
@@ -68,7 +86,8 @@ def redrawn_power(cells: Cells, *, rng: np.random.Generator, populations: int = 
         How often.
     """
     order = np.argsort(cells.groups, kind="stable")
-    values, groups = cells.values[order], cells.groups[order]
+    values = cells.values[order]
+    groups = cells.groups[order]
     means = group_means(values, groups)[groups]
     counts = np.bincount(groups)[groups][:, None]
     null = (values - means) * np.sqrt(counts / (counts - 1.0))
@@ -77,7 +96,7 @@ def redrawn_power(cells: Cells, *, rng: np.random.Generator, populations: int = 
 
 
 def rejection_rates(null: Array, planted: Array, groups: Ints) -> tuple[Power, ...]:
-    """Shares of populations in which each test rejects.
+    """Return the shares of populations in which each test rejects.
 
     Parameters
     ----------
@@ -99,7 +118,7 @@ def rejection_rates(null: Array, planted: Array, groups: Ints) -> tuple[Power, .
 
 
 def _share(rejects: NDArray[np.bool_]) -> Effect:
-    """Share of populations with Wilson's interval (Wilson 1927)."""
+    """Return the share of populations with Wilson's interval (Wilson 1927)."""
     found = binomtest(int(rejects.sum()), len(rejects))
     return Effect("share", found.statistic, *map(float, found.proportion_ci(LEVEL, "wilson")))
 

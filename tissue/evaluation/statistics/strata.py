@@ -1,15 +1,32 @@
-"""Exact tests of a design with groups of users and factors within users, many populations at once."""
+"""Tests of a design with groups of users and factors within users: exact ones, and ones with fewer assumptions."""
 
 from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 from scipy.linalg import helmert
-from scipy.stats import chi2, f
+from scipy.stats import chi2, f, friedmanchisquare, kruskal
 
 from meshes.base.arrays import Array, Ints
+from meshes.base.errors import InputError
+from tissue.evaluation.statistics.hypothesis_test import HypothesisTest
 
-__all__ = ["Strata", "group_means", "mauchly", "scores_of", "strata"]
+__all__ = [
+    "Pillai",
+    "Strata",
+    "friedman",
+    "group_means",
+    "hotelling",
+    "kruskal_wallis",
+    "mauchly",
+    "permutation",
+    "pillai",
+    "scores_of",
+    "shuffled_p",
+    "shuffled_users",
+    "strata",
+    "welch",
+]
 
 
 @dataclass(frozen=True)
@@ -43,7 +60,7 @@ def group_means(values: Array, groups: Ints) -> Array:
 
 
 def scores_of(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
-    """Scores of every user on orthonormal contrasts of one effect within users.
+    """Compute the scores of every user on orthonormal contrasts of one effect within users.
 
     Parameters
     ----------
@@ -88,7 +105,8 @@ def strata(
     scores = scores_of(values, sizes, chosen)
     contrasts = scores.shape[-1]
     counts = np.bincount(groups)
-    group_count, user_count = len(counts), len(groups)
+    group_count = len(counts)
+    user_count = len(groups)
     means = group_means(scores, groups)
     residuals = scores - means[..., groups, :]
     products = np.swapaxes(residuals, -1, -2) @ residuals / (user_count - group_count)
@@ -115,7 +133,7 @@ def strata(
 
 
 def mauchly(scores: Array, groups: Ints) -> float:
-    """Chance of so uneven a covariance of contrasts under sphericity (Mauchly 1940), 1 for one contrast.
+    """Run Mauchly's (1940) test: chance of so uneven a covariance under sphericity, 1 for one contrast.
 
     Parameters
     ----------
@@ -135,3 +153,155 @@ def mauchly(scores: Array, groups: Ints) -> float:
     log_w = np.linalg.slogdet(spread)[1] - count * np.log(np.trace(spread) / count)
     scale = degrees - (2.0 * count * count + count + 2.0) / (6.0 * count)
     return float(chi2.sf(-scale * log_w, count * (count + 1) / 2 - 1))
+
+
+@dataclass(frozen=True)
+class Pillai:
+    """Pillai's trace over populations, and the F test of it.
+
+    Attributes
+    ----------
+    trace, F, p
+        Trace, statistic and its chance where there is no effect, shape of the populations.
+    degrees
+        Degrees of freedom of F.
+    """
+
+    trace: Array
+    F: Array
+    p: Array
+    degrees: tuple[float, float]
+
+
+def pillai(scores: Array, groups: Ints, *, between: bool) -> Pillai:
+    """Compute Pillai's trace and its F test over many populations (Pillai 1955).
+
+    Parameters
+    ----------
+    scores
+        Shape (..., users, columns).
+    groups
+        Group of every user, shape (users,).
+    between
+        Compare groups; if not, test the mean over groups of equal weight against zero.
+    """
+    counts = np.bincount(groups)
+    means = group_means(scores, groups)
+    residuals = scores - means[..., groups, :]
+    error = np.swapaxes(residuals, -1, -2) @ residuals
+    if between:
+        apart = (means - (counts @ means / counts.sum())[..., None, :]) * np.sqrt(counts)[:, None]
+        effect = np.swapaxes(apart, -1, -2) @ apart
+        above = len(counts) - 1
+    else:
+        middle = means.mean(axis=-2)
+        effect = middle[..., :, None] * middle[..., None, :] * len(counts) ** 2 / (1.0 / counts).sum()
+        above = 1
+    trace = np.trace(np.linalg.solve(effect + error, effect), axis1=-2, axis2=-1)
+    below = groups.size - len(counts)
+    width = scores.shape[-1]
+    rank = min(width, above)
+    degrees = (rank * (abs(width - above) + rank), rank * (below - width + rank))
+    statistic = trace / degrees[0] / ((rank - trace) / degrees[1])
+    return Pillai(np.asarray(trace), np.asarray(statistic), np.asarray(f.sf(statistic, *degrees)), degrees)
+
+
+def welch(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
+    """Compare means of groups of unequal variance (Welch 1951).
+
+    Parameters
+    ----------
+    values
+        One value a user, shape (users,).
+    groups
+        Group of every user, 0 to G - 1, shape (users,).
+    question
+        What is asked, for the sentence.
+    """
+    from statsmodels.stats.oneway import anova_oneway
+
+    samples = _samples(values, groups)
+    if min(np.ptp(each) for each in samples) == 0.0:
+        raise InputError("values must vary in every group, got one that is constant: leave that group out")
+    found = anova_oneway(samples, use_var="unequal", welch_correction=True)
+    degrees = (int(found.df_num), float(found.df_denom))
+    return HypothesisTest("Welch", question, "F", float(found.statistic), degrees, float(found.pvalue))
+
+
+def kruskal_wallis(values: Array, groups: Ints, *, question: str) -> HypothesisTest:
+    """Compare groups by ranks (Kruskal and Wallis 1952); arguments as for :func:`welch`."""
+    samples = _samples(values, groups)
+    statistic, p = map(float, kruskal(*samples))
+    return HypothesisTest("Kruskal-Wallis", question, "H", statistic, (len(samples) - 1,), p)
+
+
+def friedman(values: Array, *, question: str) -> HypothesisTest:
+    """Compare three levels or more within users by ranks (Friedman 1937); `values` has shape (users, levels)."""
+    statistic, p = map(float, friedmanchisquare(*values.T))
+    return HypothesisTest("Friedman", question, "chi2", statistic, (values.shape[1] - 1,), p)
+
+
+def hotelling(scores: Array, groups: Ints, *, question: str) -> HypothesisTest:
+    """Test mean scores against zero with no sphericity assumed (Hotelling 1931), groups of equal weight.
+
+    Parameters
+    ----------
+    scores
+        Scores of users on contrasts, shape (users, contrasts), from `scores_of`;
+        users outnumber groups and contrasts.
+    groups
+        Group of every user, shape (users,).
+    """
+    found = pillai(scores, groups, between=False)
+    return HypothesisTest("Hotelling", question, "F", float(found.F), found.degrees, float(found.p))
+
+
+def shuffled_users(values: Array, count: int, rng: np.random.Generator) -> Array:
+    """Return values with the users in random order, shape (count, users, ...)."""
+    return values[rng.permuted(np.tile(np.arange(len(values)), (count, 1)), axis=1)]
+
+
+def shuffled_p(measured: float, shuffled: Array) -> float:
+    """Return the share of shuffled figures, and the measured one, that reach the measured one (Edgington 1995)."""
+    return (1 + int((shuffled >= measured * (1.0 - 1e-12)).sum())) / (len(shuffled) + 1)
+
+
+def permutation(
+    values: Array,
+    groups: Ints,
+    sizes: tuple[int, ...],
+    chosen: tuple[int, ...],
+    *,
+    between: bool,
+    question: str,
+    rng: np.random.Generator,
+    count: int = 4999,
+) -> HypothesisTest:
+    """Compare the F of :func:`strata` with that of shuffled labels.
+
+    An effect of groups shuffles users over groups; an effect within users shuffles the levels of the chosen factors
+    within each user; both are exact where the labels mean nothing (Edgington 1995).
+    """
+    centred = values
+    if chosen and between:
+        # Only the effect's own scores are shuffled, so that effects of the group alone do not enter.
+        basis = scores_of(np.eye(int(np.prod(sizes))), sizes, chosen)
+        centred = values @ basis @ basis.T
+    measured = float(strata(centred, groups, sizes, chosen, between=between).F)
+    if between:
+        shuffled = shuffled_users(centred, count, rng)
+    else:
+        by_level = values.reshape(len(values), *sizes)
+        moved = np.moveaxis(by_level, [1 + each for each in chosen], range(1, 1 + len(chosen)))
+        flat = moved.reshape(len(values), int(np.prod([sizes[each] for each in chosen])), -1)
+        order = rng.permuted(np.tile(np.arange(flat.shape[1]), (count, len(values), 1)), axis=2)
+        taken = np.take_along_axis(flat[None], order[..., None], axis=2).reshape(count, *moved.shape)
+        shuffled = np.moveaxis(taken, range(2, 2 + len(chosen)), [2 + each for each in chosen])
+        shuffled = shuffled.reshape(count, *values.shape)
+    others = strata(shuffled, groups, sizes, chosen, between=between).F
+    return HypothesisTest("permutation", question, "F", measured, (), shuffled_p(measured, others))
+
+
+def _samples(values: Array, groups: Ints) -> list[Array]:
+    """Return the values of each group."""
+    return [values[groups == group] for group in range(groups.max() + 1)]

@@ -174,17 +174,17 @@ class TrialTable:
         return self._rows(kept)
 
     def values(self, metric: str) -> Array:
-        """One metric over the rows, NaN where a trial failed."""
+        """Return one metric over the rows, NaN where a trial failed."""
         if metric not in self.metrics:
             raise InputError(f"metric must be one of {', '.join(self.metrics)}, got {metric}: choose one of those")
         return self.metrics[metric]
 
     def people(self) -> Text:
-        """Label of the user of every row, its group in front, shape (rows,)."""
+        """Return the label of the user of every row, its group in front, shape (rows,)."""
         return np.char.add(np.char.add(self.group, "/"), self.user)
 
     def complete(self) -> "TrialTable":
-        """Rows that did not fail."""
+        """Return the rows that did not fail."""
         return self._rows(self.failure == "")
 
     def shared(self) -> "TrialTable":
@@ -196,7 +196,7 @@ class TrialTable:
         return self._rows(whole & np.isin(names, kept))
 
     def cells(self, metric: str, *, within: Sequence[str] = ("method",)) -> Cells:
-        """Means of a metric over each user's trials, by the factors that change within a user.
+        """Return the means of a metric over each user's trials, by the factors that change within a user.
 
         Raises
         ------

@@ -1,28 +1,168 @@
-"""Section of a report: who discriminates what from the force at the skin, under each method."""
+"""Discrimination of two forces at the skin: levels over trials, sensitivity d', right answers, and their changes."""
 
 from collections.abc import Callable
-from itertools import product
+from dataclasses import dataclass
 from textwrap import wrap
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.evaluation.calibration.simulated_observer import draw_observers
+from tissue.evaluation.calibration.observers import (
+    SimulatedObservers,
+    Stimulus,
+    chance_right,
+    draw_observers,
+    sensitivity,
+)
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.felt_pairs import PEOPLE, FeltPair, changes_of, sides, specimens
 from tissue.evaluation.study.folder import StudyFolder
-from tissue.evaluation.study.section import COLOURS, Section, drawing, image, legend, methods_of, tasks_of
+from tissue.evaluation.study.section import Section, drawing, grouped_bars, image, legend, methods_of, tasks_of
 from tissue.scene.registry import GROUPS
 
-__all__ = ["LEAST_D", "PLAIN", "case_table", "discrimination_section"]
+__all__ = [
+    "PEOPLE",
+    "Felt",
+    "FeltPair",
+    "case_table",
+    "changes_of",
+    "discrimination_section",
+    "right_percent",
+    "sides",
+    "specimens",
+]
 
+PEOPLE = 200
+"""Simulated people of each group who compare; no method was tuned to any of them."""
 PLAIN = "koopman"
-"""Method of plain scaling, which the others are held against."""
+"""Method of plain scaling, to which the others are compared."""
 WIDEST = 12
 """Letters of a line below a group of bars."""
 LEAST_D = 0.5
 """Sensitivity under plain scaling below which a change in percent would be a division by almost nothing."""
+Picked = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Felt:
+    """A force at the skin over the trials of people.
+
+    Attributes
+    ----------
+    means_N
+        Of each person's trials [N], shape (people,).
+    squares_N2
+        Sums of squared differences of a person's trials from their mean [N2], shape (people,).
+    free
+        Trials of each person but one, shape (people,).
+    """
+
+    means_N: Array
+    squares_N2: Array
+    free: Array
+
+    @classmethod
+    def over(cls, forces_N: Array, person: Picked, count: int) -> "Felt":
+        """Make one of trials, each of a person by number below ``count`` who all have one, shape (n,)."""
+        trials: Array = np.bincount(person, minlength=count).astype(np.float64)
+        means = np.bincount(person, forces_N, count).astype(np.float64) / trials
+        squares = np.bincount(person, (forces_N - means[person]) ** 2, count)
+        return cls(np.asarray(means), np.asarray(squares, dtype=np.float64), trials - 1.0)
+
+    def of(self, who: Picked) -> "Felt":
+        """Return the forces of some people, who may come several times."""
+        return Felt(self.means_N[who], self.squares_N2[who], self.free[who])
+
+    @property
+    def stimulus(self) -> Stimulus:
+        """Mean over people, and scatter over one person's trials."""
+        return Stimulus(float(self.means_N.mean()), float(np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0))))
+
+
+@dataclass(frozen=True)
+class FeltPair:
+    """Two forces at the skin that each person compares for themselves: people's own levels are no scatter.
+
+    Attributes
+    ----------
+    less, more
+        The softer and the stiffer of the two, of the same people.
+    """
+
+    less: Felt
+    more: Felt
+
+    def of(self, who: Picked) -> "FeltPair":
+        """Return the pair of some people, who may come several times."""
+        return FeltPair(self.less.of(who), self.more.of(who))
+
+    def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
+        """Return the sensitivity d' and chance of a right answer of each observer, shape (n,) each.
+
+        Where the stiffer one has the smaller force at the skin, people who go by force are wrong: d' is below zero.
+        """
+        first = self.less.stimulus
+        second = self.more.stimulus
+        d = sensitivity(people, first, second)
+        right = chance_right(people, first, second)
+        return (d, right) if second.level_N >= first.level_N else (-d, 1.0 - right)
+
+
+def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) -> Array:
+    """Change against plain scaling: value, low, high of d', of d' in percent, of right answers in points, shape (3, 3).
+
+    Of means over observers. Intervals of 95 % are by Student's t of what the change becomes with each of the people of
+    the trials left out in turn, the same under both methods (jackknife, Efron 1982).
+    """
+    from scipy.stats import t
+
+    def change(one: FeltPair, two: FeltPair) -> Array:
+        (d, right), (new_d, new_right) = ([each.mean() for each in pair.felt_by(observers)] for pair in (one, two))
+        return np.array([new_d - d, 100.0 * (new_d / d - 1.0) if d else 0.0, 100.0 * (new_right - right)])
+
+    who = np.arange(len(plain.less.means_N))
+    value = change(plain, other)
+    count = len(who)
+    without = np.array([change(plain.of(kept), other.of(kept)) for kept in (np.delete(who, each) for each in who)])
+    error = np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
+    reach = float(t.ppf(0.975, max(count - 1, 1))) * error
+    return np.column_stack([value, value - reach, value + reach])
+
+
+def specimens(part: TrialTable) -> FeltPair | None:
+    """Return the forces at the skin on the first two specimens of a task, the softer first, of people who met both.
+
+    None where nobody met both, or nobody met one of them twice.
+    """
+    chosen = np.isin(part.values("specimen"), (0.0, 1.0))
+    forces = part.values("skin_N")[chosen]
+    people = part.people()[chosen]
+    second: NDArray[np.bool_] = part.values("specimen")[chosen] == 1.0
+    known = np.isin(people, np.intersect1d(people[second], people[~second]))
+    first = known & ~second
+    second = known & second
+    return _pair((forces[first], people[first]), (forces[second], people[second]))
+
+
+def sides(needle: TrialTable) -> FeltPair | None:
+    """Return the forces at the skin after and before the capsule's puncture; None where nobody has two trials."""
+    people = needle.people()
+    return _pair((needle.values("parenchyma_N"), people), (needle.values("capsule_N"), people))
+
+
+def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
+    """Return the right answers of simulated people by group [%]."""
+    rngs = {group: np.random.default_rng([seed, index]) for index, group in enumerate(GROUPS)}
+    people = {group: draw_observers(group, PEOPLE, rng) for group, rng in rngs.items()}
+    return {group: 100.0 * float(pair.felt_by(each)[1].mean()) for group, each in people.items()}
+
+
+def _pair(less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]) -> FeltPair | None:
+    """Two forces by trial with the people of their trials, the same people in both; None without any scatter."""
+    names = np.unique(less[1])
+    first, second = (Felt.over(forces, np.searchsorted(names, people), len(names)) for forces, people in (less, more))
+    return FeltPair(first, second) if first.free.sum() > 0.0 and second.free.sum() > 0.0 else None
 
 
 def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) -> Section:
@@ -34,7 +174,9 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
         taken.append(("capsule or parenchyma", sides, needle))
     if (drilling := case_table(folder, "drilling")) is not None:
         taken.append(("carious or sound", specimens, drilling))
-    rows, shown, changes = [], {}, {}
+    rows: list[tuple[str, ...]] = []
+    shown: dict[tuple[str, str, str], float] = {}
+    changes: dict[tuple[str, str, str], Array] = {}
     for what, pair_of, part in taken:
         part = part.shared()
         pairs = {method: pair_of(part.where(method=method)) for method in methods_of(part)}
@@ -44,18 +186,10 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
             plain = found[PLAIN].felt_by(people)[0].mean() if PLAIN in found else 0.0
             for method, pair in found.items():
                 d, right = (float(each.mean()) for each in pair.felt_by(people))
-                error = 196.0 * pair.felt_by(people)[1].std(ddof=1) / PEOPLE**0.5
-                shown[what, group, method] = 100.0 * right, error
-                row = [
-                    what,
-                    group,
-                    method,
-                    *(
-                        f"{each.level_N:.3f} ± {each.scatter_N:.3f}"
-                        for each in (pair.less.stimulus, pair.more.stimulus)
-                    ),
-                ]
-                row += [f"{d:.2f}", f"{100.0 * right:.1f}"]
+                shown[what, group, method] = 100.0 * right
+                stimuli = (pair.less.stimulus, pair.more.stimulus)
+                levels = [f"{each.level_N:.3f} ± {each.scatter_N:.3f}" for each in stimuli]
+                row = [what, group, method, *levels, f"{d:.2f}", f"{100.0 * right:.1f}"]
                 if method != PLAIN and PLAIN in found:
                     change = changes_of(people, found[PLAIN], pair)
                     if plain < LEAST_D:
@@ -70,11 +204,13 @@ def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) ->
         return Section("discrimination", "Discrimination", ("People have too few trials on two specimens each.",))
     header = ("what", "group", "method", "softer N", "stiffer N", "d′", "right %", "change of d′", "in %",
               "change of right, points")  # fmt: skip
-    return Section("discrimination", "Discrimination", _sentences(changes), header, tuple(rows), _bars(shown))
+    sentences, headline = _sentences(changes)
+    picture = _right_answers(shown)
+    return Section("discrimination", "Discrimination", sentences, header, tuple(rows), picture, headline)
 
 
 def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
-    """Trials of a case study that did not fail, or None."""
+    """Return the trials of a case study that did not fail, or None."""
     try:
         table = folder.table(task).complete()
     except InputError:
@@ -82,8 +218,9 @@ def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
     return table if len(table) else None
 
 
-def _sentences(changes: dict[tuple[str, str, str], Array]) -> tuple[str, ...]:
-    """What was found, computed from the table."""
+def _sentences(changes: dict[tuple[str, str, str], Array]) -> tuple[tuple[str, ...], str]:
+    """Return the findings, and the main one, computed from the changes by pair, group and method."""
+    short = []
     sentences = [
         f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % being chance. Forces are "
         "those that reach the hand in the runs of each method: after latency, low-pass, range, amplifier and friction "
@@ -92,9 +229,11 @@ def _sentences(changes: dict[tuple[str, str, str], Array]) -> tuple[str, ...]:
     for method in dict.fromkeys(key[2] for key in changes):
         part = {key: each for key, each in changes.items() if key[2] == method}
         d, percent, right = (np.array([each[row] for each in part.values()]) for row in range(3))
-        more, fewer = int((d[:, 1] > 0.0).sum()), int((d[:, 2] < 0.0).sum())
+        more = int((d[:, 1] > 0.0).sum())
+        fewer = int((d[:, 2] < 0.0).sum())
         known = percent[np.isfinite(percent[:, 0]), 0]
         shares = f" ({known.min():+.0f} to {known.max():+.0f} %)" if len(known) else ""
+        short.append(f"under {method} by {d[:, 0].min():+.2f} to {d[:, 0].max():+.2f}{shares}")
         sentences.append(
             f"{method} changes d′ by {d[:, 0].min():+.2f} to {d[:, 0].max():+.2f}{shares} against {PLAIN} and right "
             f"answers by {right[:, 0].min():+.1f} to {right[:, 0].max():+.1f} points; by its interval d′ is greater in "
@@ -109,23 +248,22 @@ def _sentences(changes: dict[tuple[str, str, str], Array]) -> tuple[str, ...]:
         "A map that rises with the force adds no information to the scatter of tissue, hand and device, which goes "
         "through it. It changes how far a difference lies above the person's own noise."
     )
-    return tuple(sentences)
+    headline = f"Sensitivity d′ at the skin changes against {PLAIN} {', '.join(short)}." if short else ""
+    return tuple(sentences), headline
 
 
-def _bars(shown: dict[tuple[str, str, str], tuple[float, float]]) -> bytes:
-    """Right answers by method, mean over groups; lines span the groups."""
-    names, methods = (list(dict.fromkeys(key[at] for key in shown)) for at in (0, 2))
+def _right_answers(shown: dict[tuple[str, str, str], float]) -> bytes:
+    """Draw right answers by pair, group and method: means over groups, and lines that span the groups."""
+    names = list(dict.fromkeys(key[0] for key in shown))
+    methods = list(dict.fromkeys(key[2] for key in shown))
+
+    def over_groups(index: int, method: str) -> tuple[float, float, float] | None:
+        values = [shown[names[index], group, method] for group in GROUPS if (names[index], group, method) in shown]
+        return (float(np.mean(values)), min(values), max(values)) if values else None
+
     figure, (axes,) = drawing(11.0, 4.4)
-    width = 0.84 / len(methods)
-    for shift, method in enumerate(methods):
-        for at, what in enumerate(names):
-            values = np.array([shown[key][0] for key in product([what], GROUPS, [method]) if key in shown])
-            if len(values):
-                place, mean = at + width * (shift - 0.5 * (len(methods) - 1)), values.mean()
-                axes.bar(place, mean, 0.92 * width, color=COLOURS[method], label=method if at == 0 else None)
-                axes.plot([place, place], [values.min(), values.max()], color="#333333", lw=1.2)
+    grouped_bars(axes, ["\n".join(wrap(name, WIDEST)) for name in names], methods, over_groups)
     axes.axhline(50.0, color="black", lw=0.8, ls=":")
-    axes.set_xticks(range(len(names)), ["\n".join(wrap(name, WIDEST)) for name in names], fontsize=9)
     axes.set_ylim(40.0, 100.0)
     axes.set_ylabel("right answers / %; dotted: by guessing")
     legend(figure, axes)

@@ -14,8 +14,8 @@ from meshes.base.file_version import package_version, require_version
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import claim, whole_file
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.plan import Plan, TrialKey
-from tissue.evaluation.study.registered import (
+from tissue.evaluation.study.plan import TASKS, Plan, TrialKey
+from tissue.evaluation.study.registration import (
     PLAN_FILE,
     Registration,
     code_sha256,
@@ -24,7 +24,6 @@ from tissue.evaluation.study.registered import (
     registered,
     require_unchanged,
 )
-from tissue.evaluation.study.tasks import TASKS
 from tissue.evaluation.study.trial import Row, Trial
 from tissue.system.outputs import LOCK
 from tissue.system.owned_folder import MARKER, OwnedFolder, require_listed
@@ -44,7 +43,7 @@ READ_TRIAL = TypeAdapter(Trial)
 
 @dataclass(frozen=True)
 class Stamp:
-    """What a trial's file states of its origin.
+    """Return the origin that a trial's file states.
 
     Attributes
     ----------
@@ -102,8 +101,8 @@ class StudyFolder:
     @contextmanager
     def held(self, plan: Plan) -> Iterator[list[str]]:
         """Hold the folder against other processes while the block runs trials; see `begin` for sentences and errors."""
-        earlier = self._earlier_files() if self._require_same(plan) else ()
-        folder = OwnedFolder(self.path, KIND, (), adopted=earlier)
+        self._require_same(plan)
+        folder = OwnedFolder(self.path, KIND, ())
         try:
             self._require_same(plan)  # another process may have begun a study since
             folder.begin()
@@ -112,12 +111,6 @@ class StudyFolder:
             yield self.begin(plan)
         finally:
             folder.release()
-
-    def _earlier_files(self) -> set[str]:
-        """Return the files that a study has in this folder, for one of version 0.2, which has no marker."""
-        plans = {str(each["file"]) for each in self.registrations()}
-        trials = {f"trials/{key.name}.json" for key in self.plan().all_trials()}
-        return {name for name in (PLAN, *plans, *TABLES, *trials) if (self.path / name).is_file()}
 
     def _require_same(self, plan: Plan) -> list[Registration]:
         """Refuse a folder that holds another study or other files; return the plans that are registered in it."""
@@ -141,28 +134,34 @@ class StudyFolder:
         return []
 
     def plan(self) -> Plan:
-        """The plan.
+        """Return the plan.
 
         Raises
         ------
         InputError
             If there is none, or it is of another version.
         """
+        return self._begun()[0]
+
+    def registrations(self) -> list[Registration]:
+        """Return the plans that were registered, newest last; for errors see `plan`."""
+        return self._begun()[1]
+
+    def _begun(self) -> tuple[Plan, list[Registration]]:
+        """Return the plan and its registrations."""
         path = require_regular(self.path / PLAN)
         try:
             held = read_json(path.read_text("utf-8"))
             require_version("study", held, FORMAT, where=path, remedy="run it in a new folder")
-            del held["format"]
-            held.pop("registrations", None)
-            made = held.pop("tissue", None) or held.pop("version", "unknown")  # as the first files call it
+            made = held.get("tissue", "unknown")
             if made != package_version():
                 raise InputError(
                     f"study must be of tissue {package_version()}, got {str(made)[:40]} in {path}: run it in a new "
                     "folder, trials of two versions are not put together"
                 )
-            for name in ("tasks", "groups", "methods"):
-                held[name] = tuple(held[name])
-            return Plan(**held)
+            fields = {name: tuple(held[name]) for name in ("tasks", "groups", "methods")}
+            plan = Plan(seed=held["seed"], trials=held["trials"], sensitivity=held["sensitivity"], **fields)
+            return plan, registered(held)
         except InputError:
             raise
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
@@ -170,25 +169,8 @@ class StudyFolder:
                 f"study must be a folder that `tissue study run` wrote, got {self.path}: choose another"
             ) from None
 
-    def registrations(self) -> list[Registration]:
-        """Plans that were registered, newest last; none for a study that an earlier version began.
-
-        Raises
-        ------
-        InputError
-            If the folder is no study, or what it states of them is nothing of the kind.
-        """
-        self.plan()
-        try:
-            return registered(read_json((self.path / PLAN).read_text("utf-8")))
-        except (OSError, ValueError, TypeError, KeyError, AttributeError):
-            raise InputError(
-                f"registrations must be as `tissue study run` wrote them, got others in {self.path / PLAN}: put that "
-                "file back"
-            ) from None
-
     def stamp(self, key: TrialKey) -> Stamp:
-        """What a trial's file states of its origin."""
+        """Return the origin that a trial's file states."""
         try:
             held = dict(read_json(require_regular(self._file(key)).read_text("utf-8")))
         except (OSError, ValueError, TypeError, RecursionError):
@@ -198,11 +180,11 @@ class StudyFolder:
         return Stamp(plan_hash, code_hash, stated is None or stated == content_sha256(held))
 
     def has(self, key: TrialKey) -> bool:
-        """Whether a trial is there."""
+        """Return whether a trial is there."""
         return self._file(key).is_file()
 
     def read(self, key: TrialKey) -> Trial | None:
-        """A trial, or None where its file is missing or cut short."""
+        """Return a trial, or None where its file is missing or cut short."""
         try:
             trial = READ_TRIAL.validate_python(
                 read_json(require_regular(self._file(key)).read_text("utf-8")) | {"key": key}
@@ -236,7 +218,7 @@ class StudyFolder:
                 yield trial
 
     def table(self, *tasks: str) -> TrialTable:
-        """Table of the study's own trials of some tasks.
+        """Return the table of the study's own trials of some tasks.
 
         Raises
         ------
@@ -269,7 +251,7 @@ class StudyFolder:
 
 
 def _is_row(row: Row) -> bool:
-    """Whether a row is of a method: its name, and numbers or the sentence of its failure."""
+    """Return whether a row is of a method: its name, and numbers or the sentence of its failure."""
     return "method" in row and all(
         isinstance(value, str) == (name in ("method", "failure")) for name, value in row.items()
     )

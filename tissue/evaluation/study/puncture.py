@@ -148,7 +148,8 @@ def pierce(
     x, y, z = start.tolist()
     device = SimulatedDevice(limits, hand, position_m=(x, y, z))
     cue_after_s = 1e-3 * scene.coupling.delay_ms if cue else inf
-    frame_s, length_m = float(frames.uniform(0.0, FRAME_S)), float(np.linalg.norm(end - start))
+    frame_s = float(frames.uniform(0.0, FRAME_S))
+    length_m = float(np.linalg.norm(end - start))
     bystander = _Bystander(hand, notice, cue_after_s=cue_after_s, frame_s=frame_s, length_m=length_m)
     pushed = changed(scene, {"duration_s": LONGEST_S})
     run = simulate(pushed, cores=1, device=device, observer=bystander, allow_unstable=True)
@@ -157,15 +158,18 @@ def pierce(
 
 
 class _Bystander:
-    """What shows a hand the tip and gives it its cue, and what ends a run."""
+    """Observer of a run that shows a hand the tip, gives it its cue, and ends the run."""
 
     timing_columns: tuple[str, ...] = ()
 
     def __init__(
         self, hand: PushingHand, notice: Notice, *, cue_after_s: float, frame_s: float, length_m: float
     ) -> None:
-        self._hand, self._notice, self._length = hand, notice, length_m
-        self._cue_after, self._frame = cue_after_s, frame_s
+        self._hand = hand
+        self._notice = notice
+        self._length = length_m
+        self._cue_after = cue_after_s
+        self._frame = frame_s
         self._cued = False
         self.puncture_s = inf
         self.rows: list[tuple[float, float]] = []
@@ -177,11 +181,13 @@ class _Bystander:
         self._needle = parts.tissue
 
     def before_tick(self, index: int) -> None:
-        """Nothing is waited for."""
+        """Return at once: nothing is waited for."""
 
     def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
         """Show and cue what is due; whether the run goes on."""
-        now, hand, insertion = index * TICK_S, self._hand, self._needle.insertion
+        now = index * TICK_S
+        hand = self._hand
+        insertion = self._needle.insertion
         self.rows.append((hand.felt_N, 1e3 * hand.aim_m))
         if insertion.punctured and self.puncture_s == inf:
             self.puncture_s = now
@@ -197,5 +203,5 @@ class _Bystander:
         return now < hand.stop_s + AFTER_S and hand.advance_m < self._length
 
     def on_end(self) -> list[tuple[float, str]]:
-        """When the hand noticed."""
+        """Return the time at which the hand noticed the puncture."""
         return [(self._hand.noticed_s, NOTICED)] if self._hand.noticed_s < inf else []

@@ -1,16 +1,44 @@
-"""What a study registers before its first trial: measures, tests, exclusions, seeds, effect of interest and power."""
+"""Registration of a study's plan: its text with tests and power, its hash, and the hash of the code that runs it."""
 
+import json
+from collections.abc import Mapping
+from functools import cache
+from hashlib import sha256
 from itertools import combinations
+from pathlib import Path
+from typing import Any
 
+import tomli_w
+
+from meshes.base.errors import InputError, require_range
 from meshes.base.file_version import package_version
+from meshes.base.whole_file import claim, whole_file
 from tissue.evaluation.statistics.hypothesis_test import ALPHA
-from tissue.evaluation.study.plan import LATENCY_MS, USERS, Plan
-from tissue.evaluation.study.planned_power import EFFECT, planned_power
-from tissue.evaluation.study.tasks import METHODS, PERSONAL, TASKS
-from tissue.evaluation.study.tested import COMPARED, DIRECTIONS
+from tissue.evaluation.study.plan import COMPARED, DIRECTIONS, LATENCY_MS, METHODS, PERSONAL, TASKS, USERS, Plan
 
-__all__ = ["plan_text", "planned_tests"]
+__all__ = [
+    "PLAN_FILE",
+    "Registration",
+    "code_sha256",
+    "content_sha256",
+    "file_sha256",
+    "plan_text",
+    "planned_power",
+    "planned_tests",
+    "register",
+    "registered",
+    "require_unchanged",
+]
 
+PLAN_FILE = "plan.toml"
+SOURCES = (".py", ".toml", ".npz")
+"""Endings of the files of code and constants that figures can depend on."""
+Registration = dict[str, str | int]
+"""One registered plan: ``file``, ``sha256`` and ``trials_before``, the number of trials that were there before it."""
+EFFECT = 1.0
+"""Effect of interest: one standard deviation, of the differences within people between two methods, or of people of one
+group. Chosen, range 0.5 to 2: the least that matters here, as the paper's force errors of penalty and Koopman differ by
+2.8 to 2.9 standard deviations (its table of force errors, root mean square of both columns' spreads)."""
 UNITS = {"force_error": "1", "ratio_error": "1", "position_error_mm": "mm"}
 """Units of the measures that are tested; a name that is not here carries its unit at its end."""
 DESCRIBED = (
@@ -39,13 +67,104 @@ HEAD = """\
 """
 
 
+def register(folder: Path, plan: Plan, held: list[Registration], *, trials: int) -> list[Registration]:
+    """Write the plan and its hash; an earlier one is kept under a name of its own. All registrations, newest last.
+
+    Parameters
+    ----------
+    folder
+        The study's folder, which exists.
+    plan
+        What is registered.
+    held
+        Registrations so far.
+    trials
+        Number of trials that the folder holds.
+    """
+    kept = list(held)
+    path = folder / PLAN_FILE
+    if kept:
+        earlier = f"plan-{len(kept)}.toml"
+        claim(folder / earlier)
+        path.replace(folder / earlier)
+        kept[-1] = kept[-1] | {"file": earlier}
+    text = plan_text(plan).encode("utf-8")
+    if not kept and path.is_file() and path.read_bytes() != text:
+        raise InputError(
+            f"out must hold no {PLAN_FILE} of another origin, got one in {folder}: write it with `tissue study plan`"
+        )
+    with whole_file(path) as temporary:
+        temporary.write_bytes(text)
+    return [*kept, {"file": PLAN_FILE, "sha256": sha256(text).hexdigest(), "trials_before": trials}]
+
+
+def registered(content: Mapping[str, Any]) -> list[Registration]:
+    """Return the registrations in the content of a study.json.
+
+    Raises
+    ------
+    TypeError, KeyError
+        If it holds something else.
+    """
+    return [
+        {"file": str(each["file"]), "sha256": str(each["sha256"]), "trials_before": int(each["trials_before"])}
+        for each in content["registrations"]
+    ]
+
+
+def require_unchanged(folder: Path, held: list[Registration]) -> None:
+    """Refuse registered plans that were edited or taken away.
+
+    Raises
+    ------
+    InputError
+        If a plan's file is not the one whose hash was written.
+    """
+    for each in held:
+        if (got := file_sha256(folder / str(each["file"]))) != each["sha256"]:
+            raise InputError(
+                f"{each['file']} must be as it was registered (SHA-256 {str(each['sha256'])[:12]}), got "
+                f"{got[:12] or 'no such file'} in {folder}: put it back, or run another plan in a new folder"
+            )
+
+
+def file_sha256(path: Path) -> str:
+    """Return SHA-256 of a file's bytes, empty where it cannot be read."""
+    try:
+        return sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def content_sha256(content: Mapping[str, object]) -> str:
+    """Return SHA-256 of a trial's content; it finds a slip of an editor, not a person who computes it anew."""
+    return sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
+
+
+@cache
+def code_sha256() -> str:
+    """Return SHA-256 over the names and bytes of all code and constants of this installation."""
+    import kernels
+    import meshes
+    import tissue
+
+    found = sha256()
+    for package in (kernels, meshes, tissue):
+        root = Path(package.__path__[0])
+        for path in sorted(each for each in root.rglob("*") if each.suffix in SOURCES and each.is_file()):
+            name = f"{package.__name__}/{path.relative_to(root).as_posix()}"
+            found.update(name.encode("utf-8") + b"\0" + sha256(path.read_bytes()).digest())
+    return found.hexdigest()
+
+
 def planned_tests(plan: Plan) -> list[str]:
-    """Tests that the report of a plan makes, as task and question, such as ``T1 force_error: method``.
+    """Return the tests that the report of a plan makes, as task and question, such as ``T1 force_error: method``.
 
     Of every compared metric on every task each effect, then metrics together by multivariate analysis, then each metric
     over all tasks.
     """
-    methods, groups = len(plan.methods) > 1, len(plan.groups) > 1
+    methods = len(plan.methods) > 1
+    groups = len(plan.groups) > 1
     found = []
     for task in plan.compared:
         found += [
@@ -62,14 +181,12 @@ def planned_tests(plan: Plan) -> list[str]:
 
 
 def plan_text(plan: Plan) -> str:
-    """The plan as TOML; the same plan gives the same text under one version of tissue."""
-    import tomli_w
-
+    """Return the plan as TOML; the same plan gives the same text under one version of tissue."""
     tests = planned_tests(plan)
     keys = list(plan.all_trials())
     people = min(plan.trials, USERS)
     alpha = ALPHA / max(1, len(tests))
-    design = len(plan.groups), len(plan.methods)
+    design = (len(plan.groups), len(plan.methods))
     table = {
         "tissue": package_version(),
         "design": {
@@ -125,9 +242,61 @@ def _better(metric: str) -> str:
 
 
 def _effects(factors: list[str]) -> list[str]:
-    """Main effects and interactions of factors."""
+    """Return the main effects and interactions of factors."""
     return [" x ".join(chosen) for count in range(1, len(factors) + 1) for chosen in combinations(factors, count)]
 
 
 def _rounded(power: dict[str, float]) -> dict[str, float]:
     return {name: round(value, 3) for name, value in power.items()}
+
+
+def planned_power(people: int, groups: int, methods: int, *, alpha: float, effect: float = EFFECT) -> dict[str, float]:
+    """Chance that each test of one metric on one task finds an effect of interest, by the noncentral F distribution.
+
+    One method, or one group, or one method in one group, differs by ``effect`` from the rest, which are equal. With n
+    people in each of g groups under k methods, normal effects and sphericity, the noncentralities (Cohen 1988, chapter
+    8; of the exact tests in `tissue.evaluation.statistics.strata.strata`) are::
+
+        method          2 g n d² (k - 1) / k                    degrees k - 1, (g n - g) (k - 1)
+        group           n d² (g - 1) / g                        degrees g - 1, g n - g
+        group x method  2 n d² (k - 1) / k (g - 1) / g          degrees (g - 1) (k - 1), (g n - g) (k - 1)
+
+    Parameters
+    ----------
+    people
+        People in a group, n. The effect is on means over a person's trials, so that trials do not count beside them.
+    groups, methods
+        Numbers of both, g and k.
+    alpha
+        Share of false alarms of one test, after correction.
+    effect
+        Effect d in standard deviations.
+
+    Returns
+    -------
+    dict[str, float]
+        Power by test; none for a test that so few people, groups or methods do not allow.
+
+    Raises
+    ------
+    InputError
+        If alpha or the effect is out of range.
+    """
+    from scipy.stats import f, ncf
+
+    require_range("alpha", alpha, 1e-9, 1.0, "use 0.05")
+    require_range("effect", effect, 0.01, 10.0, "use 1")
+    found: dict[str, float] = {}
+    if people < 2:
+        return found
+    error = groups * (people - 1)
+    within = 2.0 * people * effect**2 * (methods - 1) / methods
+    between = (groups - 1) / groups
+    for name, noncentrality, above, below in (
+        ("method", groups * within, methods - 1, error * (methods - 1)),
+        ("group", people * effect**2 * between, groups - 1, error),
+        ("group x method", within * between, (groups - 1) * (methods - 1), error * (methods - 1)),
+    ):
+        if above:
+            found[name] = float(ncf.sf(f.isf(alpha, above, below), above, below, noncentrality))
+    return found

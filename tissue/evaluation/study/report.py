@@ -1,6 +1,8 @@
-"""The report of a study: sections as one HTML file that needs no other, and as CSV."""
+"""Report of a study: sections as one HTML file that needs no other file, and as CSV."""
 
+import tomllib
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
 
@@ -12,42 +14,70 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.cases import case_sections
-from tissue.evaluation.study.deviations import registration_section
-from tissue.evaluation.study.discrimination import case_table, discrimination_section
-from tissue.evaluation.study.fidelity import force_section, latency_section, task_section
+from tissue.evaluation.study.discrimination import discrimination_section
+from tissue.evaluation.study.fidelity import (
+    force_section,
+    latency_section,
+    reference_section,
+    sensitivity_section,
+    speed_section,
+    task_section,
+)
 from tissue.evaluation.study.folder import StudyFolder
-from tissue.evaluation.study.found import found_section
-from tissue.evaluation.study.paper import CHOSEN_AFTER, SOURCE
-from tissue.evaluation.study.parameters import parameters_section
-from tissue.evaluation.study.plan import LATENCY_MS, USERS
-from tissue.evaluation.study.section import Section
-from tissue.evaluation.study.sensitivity import reference_section, sensitivity_section, speed_section
-from tissue.evaluation.study.tasks import TASKS
+from tissue.evaluation.study.plan import LATENCY_MS, METHODS, PERSONAL, TASKS, USERS, Plan
+from tissue.evaluation.study.registration import code_sha256, file_sha256
+from tissue.evaluation.study.section import CHOSEN_AFTER, SOURCE, Section
 from tissue.evaluation.study.tested import composite_section, power_section, regression_section, tests_sections
-from tissue.evaluation.study.trial import failures_of
+from tissue.evaluation.study.trial import (
+    NUMBERS,
+    PACE_SPREAD,
+    WITHIN_SPREAD,
+    Trial,
+    failures_of,
+    trial_seed,
+)
+from tissue.materials.constants import constants
 from tissue.system.html import html_page, html_picture
-from tissue.system.owned_folder import listed_files, owned_folder
+from tissue.system.owned_folder import owned_folder
 
-__all__ = ["sections_of", "write_report"]
+__all__ = ["found_section", "registration_section", "sections_of", "write_report"]
 
 WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
+NAMED = 5
+"""Names that a row gives before it stops."""
+Difference = tuple[str, str, str]
+"""Kind, what, and detail of a difference from the registered plan."""
+Row = tuple[str, str, str, str, str, str]
+TISSUES = {
+    "T3": (("cutting", "bone"),),
+    "needle": (("needle", "liver"),),
+    "reaming": (("cutting", "bone"), ("perception", "torque")),
+    "drilling": (("cutting", "enamel"), ("cutting", "dentin")),
+}
+"""Cited constants of tissues and senses that a task adds; T1 and T2 have their stiffness in the scene alone."""
+STUDY: tuple[Row, ...] = (
+    ("study", "latency ms", f"{LATENCY_MS}", "2 to 8, see the sensitivity", "M", "near the paper's mean of 4.3 ms"),
+    ("study", "people a group", f"{USERS}", "", "", "trials go round among them"),
+    ("study", "spread of the logarithm of pace, people", f"{PACE_SPREAD:g}", "", "L", "assumed"),
+    ("study", "spread of the logarithm of pace, trials", f"{WITHIN_SPREAD:g}", "", "L", "assumed"),
+    ("study", "numbers given to forces in a calibration", f"{NUMBERS}", "", "L", "assumed"),
+)
+"""The study's own parameters."""
 
 
 def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[str]]:
-    """Write ``report/index.html`` and its tables into a study's folder; its path, and the first sentences of it.
+    """Write ``report/index.html`` and its tables into a study's folder; return its path and its first sentences.
 
     Raises
     ------
     InputError
         If the folder is no study, holds no trial of the tasks that are compared, or another process writes a report.
     """
-    folder, out = StudyFolder(path), path / "report"
-    folder.plan()  # refuses what is no study before anything is made in it
+    folder = StudyFolder(path)
+    out = path / "report"
+    folder.plan()  # refuses a folder that is no study before anything is made in it
     page = out / "index.html"
-    # The folder of a study of version 0.2 has no marker: what lies in its report is that of an earlier report.
-    listed = listed_files(out) or listed_files(path)
-    earlier = () if listed else {each.name for each in (page, *out.glob("*.csv")) if each.is_file()}
-    with owned_folder(out, "study report", (), shared=["index.html"], adopted=earlier):
+    with owned_folder(out, "study report", (), shared=["index.html"]):
         sections = sections_of(folder, report=report)
         links = " · ".join(f'<a href="#{escape(each.name)}">{escape(each.title)}</a>' for each in sections)
         body = "\n".join(_as_html(section, section.write_csv(out)) for section in sections)
@@ -57,11 +87,10 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
 
 
 def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Section]:
-    """All sections that a study's trials allow."""
+    """Return all sections that a study's trials allow."""
     plan = folder.plan()
     folder.write_tables()
-    sections = [_overview(folder)]
-    whole: TrialTable | None = None
+    sections: list[Section] = []
     if plan.compared:
         table = folder.table(*plan.compared)
         whole = table.complete()
@@ -76,14 +105,29 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
     report("case studies", 0.9)
     sections += case_sections(folder, plan.seed)
     sections += [each for each in (sensitivity_section(folder), reference_section(folder)) if each is not None]
-    tests = [each for each in sections if each.name == "tests"]
-    sections.insert(1, registration_section(folder, tests))
-    found = found_section(whole, case_table(folder, "needle"), sections)
-    return [found, *sections, speed_section(folder), parameters_section(plan)]
+    differences = registration_section(folder, [each for each in sections if each.name == "tests"])
+    found = found_section([*sections, differences])
+    return [found, _overview(folder), differences, *sections, speed_section(folder), _parameters(plan)]
+
+
+def found_section(sections: Sequence[Section]) -> Section:
+    """Return the first section: the headlines of the others, and how many figures agree with the published ones."""
+    compared = 0
+    apart = []
+    for section in sections:
+        for column in (at for at, name in enumerate(section.header) if name.endswith("against paper")):
+            for row in section.rows:
+                compared += bool(row[column])
+                if row[column] not in ("", "agrees"):
+                    apart.append(f"{section.title.lower()} {row[0]} {row[1]} {row[column]}")
+    papers = f"Of {compared} figures compared with the paper, {compared - len(apart)} agree"
+    papers += f"; the first that do not: {', '.join(apart[:NAMED])}." if apart else "."
+    headlines = [each.headline for each in sections if each.headline]
+    return Section("found", "What was found", (*headlines, papers))
 
 
 def _tested(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """All that needs several people a group, or why there is none."""
+    """Return the sections that need several people a group, or the reason why there is none."""
     try:
         sections = tests_sections(table, rng)
     except InputError as error:
@@ -101,7 +145,7 @@ def _tested(table: TrialTable, rng: np.random.Generator) -> list[Section]:
 
 
 def _overview(folder: StudyFolder) -> Section:
-    """What was run, what is missing, what failed, and by which parameters."""
+    """State what was run, what is missing, what failed, and by which parameters."""
     plan = folder.plan()
     kept = list(folder.trials(variant=None))
     counts = Counter((trial.key.task, trial.key.group) for trial in kept if not trial.key.variant)
@@ -121,13 +165,13 @@ def _overview(folder: StudyFolder) -> Section:
     ]
     if empty:
         sentences.append(f"No trial yet of {', '.join(empty)}: the figures are of the other groups.")
-    sentences += [f"{len(names)} failed, {what} ({names[0]}{', ...' * (len(names) > 1)})."
-                  for what, names in failures_of(kept).items()]  # fmt: skip
+    for what, names in failures_of(kept).items():
+        sentences.append(f"{len(names)} failed, {what} ({names[0]}{', ...' * (len(names) > 1)}).")
     return Section("overview", "What was run", tuple(sentences), ("task", "what", "scene and changes", "trials"), rows)
 
 
 def _describe(task: str) -> str:
-    """Changes of a task's scene in words."""
+    """Return the changes of a task's scene as text."""
     changes, *specimens = (
         ", ".join(map(_entry, each.items())) for each in (TASKS[task].changes, *TASKS[task].specimens)
     )
@@ -136,16 +180,150 @@ def _describe(task: str) -> str:
 
 
 def _entry(item: tuple[str, object]) -> str:
-    """An entry of a scene in words."""
+    """Return an entry of a scene as text."""
     name, value = item
-    return f"{name} {'left out' if value is None else f'{value:g}' if isinstance(value, float) else value}"
+    if value is None:
+        return f"{name} left out"
+    return f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+
+
+def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Section:
+    """List the differences from the registered plan.
+
+    Parameters
+    ----------
+    folder
+        The study.
+    tests
+        The report's section on tests; none where nothing is compared.
+    """
+    plan = folder.plan()
+    kept = list(folder.trials(variant=None))
+    found = [*_plans(folder), *_trials(folder, plan, kept), *_origins(folder, plan, kept), *_tests(folder, tests)]
+    newest = folder.registrations()[-1]
+    when = f"after {newest['trials_before']} trials" if newest["trials_before"] else "before the first trial"
+    kinds = list(dict.fromkeys(kind for kind, _, _ in found))
+    differs = f"{len(found)} differences from it: {', '.join(kinds)}." if found else "Nothing differs from it."
+    headline = f"{newest['file']} was registered {when} (SHA-256 {str(newest['sha256'])[:16]}). {differs}"
+    limits = (
+        "Hashes find slips and changes made in passing; they prove nothing against a person who computes them anew, "
+        "which a copy of the plan in other hands would."
+    )
+    header = ("kind", "what", "detail") if found else ()
+    title = "What differs from the registered plan"
+    return Section("registration", title, (headline, limits), header, tuple(found), headline=headline)
+
+
+def _plans(folder: StudyFolder) -> Iterator[Difference]:
+    """Yield plans that were edited, taken away, or registered after the first trial."""
+    for each in folder.registrations():
+        name = str(each["file"])
+        if (got := file_sha256(folder.path / name)) != each["sha256"]:
+            how = f"its SHA-256 is {got[:16]}" if got else "it is not there"
+            yield "plan changed", name, f"registered as {str(each['sha256'])[:16]}, {how}"
+        if each["trials_before"]:
+            detail = f"registered when {each['trials_before']} trials were there, whose results could be seen"
+            yield "plan after the first trial", name, detail
+
+
+def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Difference]:
+    """Yield trials that are missing, failed or were never planned."""
+    keys = list(plan.all_trials())
+    held = {trial.key for trial in kept}
+    for group in plan.groups:
+        if any(key.group == group for key in keys) and not any(key.group == group for key in held):
+            yield "group missing", group, "no trial of it"
+    for task in plan.tasks:
+        if names := [key.name for key in keys if key.task == task and key not in held]:
+            yield "trials missing", task, _named(names)
+    for what, names in failures_of(kept).items():
+        yield "trials failed and left out", what, _named(names)
+    for method in plan.methods:
+        without = [trial.key.name for trial in kept if not trial.key.variant
+                   and all(row["method"] != method for row in trial.rows)]  # fmt: skip
+        if without:
+            yield "method missing", method, _named(without)
+    planned = {key.name for key in keys}
+    if strange := sorted(each.stem for each in (folder.path / "trials").glob("*.json") if each.stem not in planned):
+        yield "trials not planned", "files that the report leaves out", _named(strange)
+
+
+def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Difference]:
+    """Yield trials of another seed, plan or code than was registered, or changed since they were written."""
+    plans = {str(each["sha256"]) for each in folder.registrations()}
+    stamps = {trial.key: folder.stamp(trial.key) for trial in kept}
+    if names := [key.name for key, stamp in stamps.items() if not stamp.whole]:
+        yield "trials changed after they were written", "SHA-256 in their files", _named(names)
+    if names := [key.name for key, stamp in stamps.items() if stamp.plan_sha256 not in plans]:
+        yield "trials of no registered plan", "SHA-256 in their files", _named(names)
+    if names := [trial.key.name for trial in kept if trial.seed != trial_seed(plan, trial.key)]:
+        yield "trials of another seed", f"plan has {plan.seed}", _named(names)
+    codes = sorted({stamp.code_sha256 for stamp in stamps.values()})
+    if len(codes) > 1:
+        yield "code changed between trials", f"{len(codes)} versions", ", ".join(each[:12] or "none" for each in codes)
+    elif codes and codes != [code_sha256()]:
+        detail = f"trials {codes[0][:12] or 'none'}, report {code_sha256()[:12]}"
+        yield "code changed before the report", "trials and report", detail
+
+
+def _tests(folder: StudyFolder, tests: Sequence[Section]) -> Iterator[Difference]:
+    """Yield tests that were planned and not made, those that were made and not planned, and methods left out."""
+    try:
+        plan = tomllib.loads((folder.path / str(folder.registrations()[-1]["file"])).read_text("utf-8"))
+        planned = {_unordered(each): str(each) for each in plan["tests"]["planned"]}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return  # a spoilt plan is a difference of its own
+    made = {_unordered(test): test for section in tests for row in section.rows if (test := f"{row[0]} {row[1]}")}
+    sentences = [sentence for section in tests for sentence in section.sentences]
+    if names := [test for key, test in planned.items() if key not in made]:
+        why = " ".join(each for each in sentences if "could not be tested" in each or "Nothing could be" in each)
+        yield "tests planned and not made", why, _named(names, "; ")
+    if names := [test for key, test in made.items() if key not in planned]:
+        yield "tests made and not planned", "", _named(names, "; ")
+    for sentence in sentences:
+        if "is left out" in sentence:
+            yield "method left out of tests, by the plan's rule", sentence.split(":")[0], sentence
+
+
+def _unordered(test: str) -> tuple[str, frozenset[str]]:
+    """Return a test without the order of its factors."""
+    what, _, factors = test.rpartition(": ")
+    return what, frozenset(factors.split(" x "))
+
+
+def _named(names: Sequence[str], mark: str = ", ") -> str:
+    """Return how many names there are, and the first of them."""
+    return f"{len(names)}: {mark.join(names[:NAMED])}{f'{mark}...' * (len(names) > NAMED)}"
+
+
+def _parameters(plan: Plan) -> Section:
+    """List the parameters with value, range and source; the overview lists those of the scenes."""
+    rows = list(STUDY)
+    for method in plan.methods:
+        keys = dict(METHODS[method]) | ({"perception": "the person's own"} if method in PERSONAL else {})
+        rows += [(f"method {method}", name, str(value), "", "", "definition") for name, value in keys.items()]
+    tables = [("devices", "touch"), ("hands", "any"), *(("hands", group) for group in plan.groups)]
+    tables += [("perception", "force"), *(("observers", group) for group in plan.groups)]
+    tables += [each for task in plan.tasks for each in TISSUES.get(task, ())]
+    for table, name in dict.fromkeys(tables):
+        rows += [
+            (f"{table}, {name}", entry, f"{one.value:g}", f"{one.low:g} to {one.high:g}", one.confidence, one.source)
+            for entry, one in constants(table, name).items()
+        ]
+    unsure = sum(row[4] == "L" for row in rows)
+    sentences = (
+        f"{len(rows)} parameters; {unsure} of them are of low confidence (L: memory of the literature or assumed), "
+        "most of what distinguishes people and groups among them. None was chosen by a figure of the paper but the "
+        "latency and the depth that the needle aims at, as its section states.",
+    )
+    header = ("of", "parameter", "value", "range", "confidence", "source")
+    return Section("parameters", "Parameters", sentences, header, tuple(rows))
 
 
 def _as_html(section: Section, file: str) -> str:
-    """One section, with the file that holds its table."""
+    """Return one section as HTML, with a link to the file that holds its table."""
     text = "".join(f'<p class="verdict">{escape(each)}</p>\n' for each in section.sentences)
-    shown = [(section.title, section.picture), *section.pictures]
-    picture = "".join(html_picture(what, each) for what, each in shown if each)
+    picture = html_picture(section.title, section.picture) if section.picture else ""
     table = ""
     if section.rows:
         head = "".join(f"<th>{escape(each)}</th>" for each in section.header)

@@ -80,7 +80,8 @@ def run_study(
 def _run_trials(plan: Plan, folder: StudyFolder, count: int, scheduler: str | None, report: Progress) -> None:
     """Run the trials that the folder does not hold yet, and replace workers that are lost."""
     work = _Work(plan, folder, report)
-    barren, connected = 0, False
+    barren = 0
+    connected = False
     while work.waiting:
         before = work.done
         suspects = [key for key in work.waiting if work.losses[key] >= LOSSES]
@@ -108,7 +109,7 @@ def _run_trials(plan: Plan, folder: StudyFolder, count: int, scheduler: str | No
 
 
 def _in_worker(plan: Plan, key: TrialKey) -> Trial:
-    """A trial, in a process that does nothing else."""
+    """Run a trial in a process that does nothing else."""
     trial = run_trial(plan, key)
     _keep_what_stays()
     return trial
@@ -122,17 +123,20 @@ def _keep_what_stays() -> None:
 
 
 class _Work:
-    """What is left of a plan."""
+    """Trials of a plan that are left."""
 
     def __init__(self, plan: Plan, folder: StudyFolder, report: Progress) -> None:
-        self.plan, self.folder, self._report = plan, folder, report
+        self.plan = plan
+        self.folder = folder
+        self._report = report
         keys = list(plan.all_trials())
         self.total = len(keys)
         self.waiting = dict.fromkeys(key for key in keys if not folder.has(key))
         self.running: dict[Future[Trial], TrialKey] = {}
         self.losses: Counter[TrialKey] = Counter()
         self.done = 0
-        self._began, self._at_first = perf_counter(), len(self.waiting)
+        self._began = perf_counter()
+        self._at_first = len(self.waiting)
 
     @property
     def share(self) -> float:
@@ -171,7 +175,7 @@ class _Work:
         self.waiting.pop(trial.key, None)
 
     def _left(self) -> str:
-        """Time left, by what this session took for each trial."""
+        """Return the time left, by what this session took for each trial."""
         done = self._at_first - len(self.waiting)
         seconds = (perf_counter() - self._began) / max(1, done) * len(self.waiting)
         return f"{seconds:.0f} s left" if seconds < 100.0 else f"{seconds / 60.0:.0f} min left"

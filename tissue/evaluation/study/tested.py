@@ -7,30 +7,18 @@ from contextlib import contextmanager
 import numpy as np
 
 from meshes.base.errors import InputError
-from tissue.evaluation.statistics.comparison import MetricComparison, across_tasks, compare
+from tissue.evaluation.statistics.comparison import MetricComparison, across_tasks, compare, corrected
 from tissue.evaluation.statistics.hpi import composite_index
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, Effect, HypothesisTest, format_p
 from tissue.evaluation.statistics.manova import manova
 from tissue.evaluation.statistics.power import redrawn_power
 from tissue.evaluation.statistics.regression import trial_regression
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.statistics.tukey import corrected
-from tissue.evaluation.study.paper import COMPOSITE
-from tissue.evaluation.study.plan import USERS
-from tissue.evaluation.study.section import Section, drawing, image, methods_of, tasks_of
+from tissue.evaluation.study.plan import COMPARED, DIRECTIONS, USERS
+from tissue.evaluation.study.section import COMPOSITE, Section, drawing, image, methods_of, tasks_of
 
-__all__ = ["DIRECTIONS", "composite_section", "power_section", "regression_section", "tests_sections"]
+__all__ = ["composite_section", "power_section", "regression_section", "tests_sections"]
 
-COMPARED = ("force_error", "ratio_error", "position_error_mm")
-"""Metrics that are tested, one by one and together."""
-DIRECTIONS = {
-    "force_error": -1,
-    "ratio_error": -1,
-    "position_error_mm": -1,
-    "acceleration_change_m_s2": -1,
-    "time_s": -1,
-}
-"""Metrics of the composite index and their directions."""
 LOOSE = 0.06
 """False alarms of a test at 5 %, above which it is reported that it finds too much."""
 
@@ -39,7 +27,7 @@ Content = tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, ...], ...]]
 
 
 def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Every metric on every task, then metrics together; sizes of effects with their picture."""
+    """Test every metric on every task, then metrics together; report sizes of effects with their picture."""
     found: list[MetricComparison] = []
     outcomes: list[tuple[str, HypothesisTest]] = []
     same: dict[str, list[str]] = {}
@@ -80,7 +68,7 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
 
 
 def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, list[str]]:
-    """A task's trials without methods that give a metric of another's: there is no spread to test the two by."""
+    """Return a task's trials without methods that give a metric of another's: there is no spread to test the two by."""
     kept: list[str] = []
     left_out = []
     for method in methods_of(table):
@@ -93,14 +81,14 @@ def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, li
 
 
 def _equal(table: TrialTable, metric: str, one: str, other: str) -> bool:
-    """Whether a metric is the same under two methods, to a thousandth of its spread."""
+    """Return whether a metric is the same under two methods, to a thousandth of its spread."""
     first, second = (table.where(method=each).values(metric) for each in (one, other))
     both = np.isfinite(first) & np.isfinite(second)
     return bool((np.abs(first - second)[both] <= 1e-3 * first[both].std()).all())
 
 
 def _outcomes(outcomes: list[tuple[str, HypothesisTest]], remarks: list[str]) -> Section:
-    """All tests, their p corrected over the family."""
+    """List all tests, their p corrected over the family."""
     rows = tuple(
         (
             task,
@@ -132,7 +120,7 @@ def _outcomes(outcomes: list[tuple[str, HypothesisTest]], remarks: list[str]) ->
 
 
 def _pairs(found: list[MetricComparison]) -> Section:
-    """All pairs of methods and groups by Tukey, and sizes of effects."""
+    """List all pairs of methods and groups by Tukey, and sizes of effects."""
     rows = [
         (
             each.task,
@@ -164,7 +152,7 @@ def _pairs(found: list[MetricComparison]) -> Section:
 
 
 def _sizes_picture(sizes: list[tuple[str, Effect]]) -> bytes:
-    """Cohen's d with intervals, one a line, on a scale that holds large and small."""
+    """Draw Cohen's d with intervals, one a line, on a scale that holds large and small."""
     if not sizes:
         return b""
     figure, (axes,) = drawing(9.0, 0.24 * len(sizes) + 1.0)
@@ -182,7 +170,7 @@ def _sizes_picture(sizes: list[tuple[str, Effect]]) -> bytes:
 
 
 def _assumptions(outcomes: list[tuple[str, HypothesisTest]]) -> Section:
-    """What every test rests on."""
+    """List the assumptions of every test."""
     rows = tuple(
         (task, each.question, check.name, "yes" if check.holds else "no", check.finding)
         for task, each in outcomes
@@ -200,7 +188,7 @@ def _assumptions(outcomes: list[tuple[str, HypothesisTest]]) -> Section:
 
 
 def composite_section(table: TrialTable, rng: np.random.Generator) -> Content:
-    """The composite index of each method and its weights."""
+    """Report the composite index of each method and its weights."""
     index = composite_index(table, DIRECTIONS, rng=rng)
     rows = tuple(
         (what, each.name, f"{each.value:.3f}", f"{each.low:.3f}", f"{each.high:.3f}",
@@ -220,8 +208,9 @@ def composite_section(table: TrialTable, rng: np.random.Generator) -> Content:
 
 
 def regression_section(table: TrialTable, rng: np.random.Generator) -> Content:
-    """Task error on force error and latency: slopes by task."""
-    rows, remarks = [], []
+    """Report the regression of task error on force error and latency: slopes by task."""
+    rows = []
+    remarks = []
     for task in tasks_of(table):
         found = trial_regression(table.where(task=task), "position_error_mm", ("force_error", "latency_ms"))
         remarks.append(f"{task}: {found.sentence}")
@@ -232,8 +221,10 @@ def regression_section(table: TrialTable, rng: np.random.Generator) -> Content:
 
 
 def power_section(table: TrialTable, rng: np.random.Generator) -> Content:
-    """Error rates of the tests with users drawn again 10,000 times, by task and test."""
-    rows, remarks, loose = [], [], []
+    """Report the error rates of the tests with users drawn again 10,000 times, by task and test."""
+    rows = []
+    remarks = []
+    loose = []
     for task in tasks_of(table):
         chosen, _ = _distinct(table.where(task=task), ("force_error",))
         for each in redrawn_power(chosen.cells("force_error"), rng=rng):

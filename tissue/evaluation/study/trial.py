@@ -5,46 +5,82 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from math import floor
+from itertools import pairwise
+from math import floor, inf, isfinite
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
 from tissue.builders.loop import judged_loop
 from tissue.builders.loop_settings import loop_settings
-from tissue.evaluation.calibration.simulated_observer import draw_observers
+from tissue.evaluation.calibration.observers import draw_observers
 from tissue.evaluation.charts.settings import finest
 from tissue.evaluation.statistics import metrics
-from tissue.evaluation.study.measures import measured
-from tissue.evaluation.study.plan import LATENCY_MS, REFERENCE, Plan, TrialKey
-from tissue.evaluation.study.puncture import RATE_N_S, pierce
-from tissue.evaluation.study.tasks import METHODS, PERSONAL, TASKS, VARIANTS, Variant
-from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
-from tissue.perception.observer import PARAMETERS, Observer, write_observer
+from tissue.evaluation.study.plan import (
+    LATENCY_MS,
+    METHODS,
+    PERSONAL,
+    REFERENCE,
+    TASKS,
+    VARIANTS,
+    Plan,
+    TrialKey,
+    Variant,
+)
+from tissue.evaluation.study.puncture import NOTICED, RATE_N_S, pierce
+from tissue.perception.adaptive import MAGNITUDE_FORCES_N, fit_magnitudes
+from tissue.perception.observer import PARAMETERS, Observer, reference_observer, write_observer
 from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
-from tissue.simulation.reference_force import ideal_force_N
+from tissue.simulation.reference_force import ideal_force_N, motor_forces
+from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate
 
-__all__ = ["Row", "Trial", "TrialScene", "error_sentence", "failures_of", "run_trial", "trial_scene", "trial_seed"]
+__all__ = [
+    "NUMBERS",
+    "PACE_SPREAD",
+    "WITHIN_SPREAD",
+    "Row",
+    "Trial",
+    "TrialScene",
+    "error_sentence",
+    "failures_of",
+    "intensity_ratios",
+    "measured",
+    "run_trial",
+    "trial_scene",
+    "trial_seed",
+]
 
 Row = dict[str, str | float]
 """A method's name and its metrics, or the sentence of its failure."""
 
-PACE_SPREAD, WITHIN_SPREAD = 0.15, 0.05
+PACE_SPREAD = 0.15
+WITHIN_SPREAD = 0.05
 """Spread of the logarithm of people's pace, and of one person's from trial to trial; assumed."""
 NUMBERS = 24
 """Numbers that a person gave to forces when they were calibrated."""
+ARRIVED_MM = 2.0
+"""Distance from the path's end within which a task counts as done."""
+LEAST_N = 1e-3
+"""Force below which nothing is felt, for the logarithm [N]."""
+TOUCHES = 0.05
+"""Share of a trial's greatest force above which a contact counts."""
+WINDOW_S = 0.1
+"""Time over which a person averages a force; `integration_s` in perception.toml."""
 PLAIN = Variant("", "", {})
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of a trial.
+    """Result of a trial.
 
     Attributes
     ----------
@@ -69,13 +105,13 @@ class Trial:
         return any("failure" in row for row in self.rows)
 
     def values(self, metric: str) -> dict[str, float]:
-        """A metric by the methods that have it."""
+        """Return a metric by the methods that have it."""
         return {str(row["method"]): float(row[metric]) for row in self.rows if metric in row}
 
 
 @dataclass(frozen=True)
 class TrialScene:
-    """What a trial is made of.
+    """Scenes and person of a trial.
 
     Attributes
     ----------
@@ -115,7 +151,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
 
 
 def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
-    """Names of trials by method and sentence of a failure; one that happened at another time is the same."""
+    """Return the names of trials by method and sentence of a failure; one that happened at another time is the same."""
     found: dict[str, list[str]] = {}
     for trial in trials:
         for row in trial.rows:
@@ -126,18 +162,20 @@ def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
 
 
 def trial_seed(plan: Plan, key: TrialKey) -> int:
-    """Seed of a trial's scenes."""
+    """Return the seed of a trial's scenes."""
     return int(plan.rng(key).integers(2**62))
 
 
 def error_sentence(error: Exception) -> str:
-    """Kind and words of an error on one line."""
+    """Return the kind and words of an error on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
-    """Scenes of a trial, and its person, whose calibration is written to a file."""
-    rng, person, task = plan.rng(key), plan.person(key), TASKS[key.task]
+    """Return the scenes of a trial, and its person, whose calibration is written to a file."""
+    rng = plan.rng(key)
+    person = plan.person(key)
+    task = TASKS[key.task]
     variant = VARIANTS.get(key.variant, PLAIN)
     seed = int(rng.integers(2**62))
     pace = variant.pace * float(np.exp(PACE_SPREAD * person.standard_normal() + WITHIN_SPREAD * rng.standard_normal()))
@@ -172,7 +210,7 @@ def _force_scale(scene: Scene) -> float:
 
 
 def _all_specimens(task: str) -> list[Scene]:
-    """Scenes of a task with each of its specimens."""
+    """Return the scenes of a task with each of its specimens."""
     usual = TASKS[task]
     return [changed(load_scene(usual.scene), {**usual.changes, **each}) for each in usual.specimens]
 
@@ -184,20 +222,22 @@ def _stiffness_N_m(scene: Scene) -> float:
 
 
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:
-    """A person, and what the map fitted to their numbers; thresholds are known as they are."""
+    """Return a person, and what the map fitted to their numbers; thresholds are known as they are."""
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"
     alpha, beta, kappa, offset_N, lapse, sigma = (float(getattr(drawn, each)[0]) for each in PARAMETERS)
     truth = Observer.known(name, alpha=alpha, beta=beta, kappa=kappa, offset_N=offset_N, lapse=lapse, sigma=sigma)
     forces = np.resize(MAGNITUDE_FORCES_N, NUMBERS)
     fit = fit_magnitudes(forces, np.array([drawn.number(force, rng)[0] for force in forces]))
-    mean, covariance = truth.mean.copy(), truth.covariance.copy()
-    mean[:2], covariance[:2, :2] = fit.mean, fit.covariance
+    mean = truth.mean.copy()
+    covariance = truth.covariance.copy()
+    mean[:2] = fit.mean
+    covariance[:2, :2] = fit.covariance
     return truth, Observer(name=name, mean=mean, covariance=covariance, trials=NUMBERS)
 
 
 def _methods(plan: Plan, key: TrialKey) -> tuple[str, ...]:
-    """Methods of a trial; variants are run for the headline alone, the reference under one."""
+    """Return the methods of a trial; variants are run for the headline alone, the reference under one."""
     if not key.variant:
         return plan.methods
     wanted = ("penalty",) if key.variant == REFERENCE else ("penalty", "koopman")
@@ -205,8 +245,9 @@ def _methods(plan: Plan, key: TrialKey) -> tuple[str, ...]:
 
 
 def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
-    """Metrics of a trial under one method."""
-    scene, person = trial.scenes[method], trial.person
+    """Return the metrics of a trial under one method."""
+    scene = trial.scenes[method]
+    person = trial.person
     if key.task == "needle":
         run = pierce(scene, kappa=person.kappa, offset_N=person.offset_N, rate_N_s=trial.pace * RATE_N_S).run
     else:
@@ -218,3 +259,137 @@ def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     assert isinstance(run.scene.motion, PathMotion)
     wanted = np.array(TASKS[key.task].wanted_mm or run.scene.motion.points_mm)
     return measured(run, key.task, person, wanted_mm=wanted) | {"specimen": float(trial.specimen)}
+
+
+def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict[str, float]:
+    """Compute the metrics of a run, by name with their unit.
+
+    Parameters
+    ----------
+    run
+        A run by a hand on a device.
+    task
+        Name of the task; some have measures of their own.
+    person
+        Who feels the force.
+    wanted_mm
+        Path that the tool should take, corner by corner [mm], shape (corners, 3).
+
+    Raises
+    ------
+    InputError
+        If nothing was touched, or what the task asks for did not happen.
+    """
+    trace = run.trace
+    played, ideal, nearest, _ = motor_forces(run, ideal_force_N(run, cores=1))
+    skin = trace.vectors("hand_force", "N")[1:]  # of the tick before each row
+    size = np.linalg.norm(ideal, axis=1)
+    if not size.any():
+        raise InputError("tool must touch in a trial, got no contact: look at the scene's path")
+    touching = size > TOUCHES * size.max()
+    velocity = trace.vectors("velocity", "mm_s")
+    tip = trace.vectors("tool", "mm")
+    assert isinstance(run.scene.motion, PathMotion)
+    done = np.linalg.norm(tip - np.array(run.scene.motion.points_mm[-1]), axis=1) < ARRIVED_MM
+    took = metrics.completion_time_s(trace["time_s"], done & (np.cumsum(~done) > 0))
+    error = metrics.force_error(played, ideal)
+    least = metrics.force_error(nearest, ideal)
+    found = {
+        "force_error": error,
+        "least_error": least,
+        "excess_error": metrics.excess_error(error, least),
+        **intensity_ratios(skin, nearest, ideal, person),
+        "force_mae_N": metrics.force_mae_N(played, ideal),
+        "force_rms_N": metrics.force_rms_N(played, ideal),
+        "latency_ms": metrics.latency_ms(played, nearest, tick_s=TICK_S),
+        "position_error_mm": float(_from_path(tip, wanted_mm).mean()),
+        "time_s": took if isfinite(took) else float(trace["time_s"][-1]),
+        "completed": float(isfinite(took)),
+        "acceleration_change_m_s2": metrics.acceleration_change_m_s2(velocity, tick_s=TICK_S),
+        "spectral_arc_length": metrics.spectral_arc_length(np.linalg.norm(velocity, axis=1), tick_s=TICK_S),
+        "peak_force_N": float(size.max()),
+        "level_N": float(size[touching].mean()),
+        "skin_N": float(np.linalg.norm(skin, axis=1)[touching].mean()),
+    }
+    if task == "needle":
+        found |= _pierced(run)
+    if task == "reaming":
+        found["tracking_rms_N"] = found["force_rms_N"] / run.scene.force_scale
+        found |= _reamed(run, touching)
+    return found
+
+
+def _pierced(run: Run) -> dict[str, float]:
+    """Return how far the needle went on after the capsule's puncture, and the force before and after it.
+
+    A puncture that nobody notices is a result and no failure: ``noticed`` is 0 and the travel is that until the trial's
+    end, the least that it can be. A hand that stops before the puncture pierced nothing that could be measured.
+    """
+    puncture = next((time for time, what in run.events if "capsule" in what), inf)
+    noticed = next((time for time, what in run.events if what == NOTICED), inf)
+    if puncture == inf or noticed < puncture:
+        raise InputError(
+            f"capsule must be punctured before the hand stops in a trial, got a hand that stopped at {noticed:g} s: "
+            "see its threshold"
+        )
+    at = round(puncture / TICK_S)
+    window = round(WINDOW_S / TICK_S)
+    size = np.linalg.norm(run.trace.vectors("hand_force", "N"), axis=1)
+    return {
+        "noticed": float(noticed < inf),
+        "excess_mm": metrics.excess_travel_mm(-run.trace["tool_z_mm"], puncture_tick=at),
+        "capsule_N": float(size[max(0, at - window) : at].mean()),
+        "parenchyma_N": float(size[at + 1 : at + 1 + window].mean()),
+    }
+
+
+def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
+    """Return the torque of a reamer while it cuts."""
+    torque = np.abs(run.trace["model_torque_z_Nm"][:-1][touching])
+    windows = [part.mean() for part in np.array_split(torque, max(1, round(len(torque) * TICK_S / WINDOW_S)))]
+    return {"torque_Nm": float(np.mean(windows)), "torque_scatter_Nm": float(np.std(windows))}
+
+
+def intensity_ratios(skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer) -> dict[str, float]:
+    """How far ratios of intensity are off, and what a perfect force, an unscaled one and a constant one would score.
+
+    Over windows of a tenth of a second that lie in contact whole, the spread of ln S(F) - ln S_ref(F_ideal), S being
+    Stevens' law: 0.1 are ratios that are off by a tenth, and 0 is perfect. A common factor, which a person's numbers
+    cannot be separated from, takes no part. The exponents are those that the simulated people were made with.
+
+    Returns
+    -------
+    dict
+        The spread of the force at the skin, and those of a perfect force through the same encoder steps as the
+        reference feels it, of the ideal force as this person's exponent alone has it, and of a force that never
+        changes.
+    """
+    count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
+    sizes = np.linalg.norm(ideal_N, axis=1)
+    met = np.array([part.min() for part in np.array_split(sizes, count)]) > TOUCHES * sizes.max()
+    if met.sum() < 2:
+        raise InputError("tool must touch for some tenths of a second in a trial, got less: look at the scene's path")
+
+    def logarithm(force_N: Array) -> Array:
+        """Return the logarithm of the size of the mean force in each window in contact."""
+        means = np.array([part.mean(axis=0) for part in np.array_split(force_N, count)])
+        return np.asarray(np.log(np.maximum(np.linalg.norm(means[met], axis=1), LEAST_N)))
+
+    felt, least, meant = map(logarithm, (skin_N, nearest_N, ideal_N))
+    beta = reference_observer().beta
+    return {
+        "ratio_error": float(np.std(person.beta * felt - beta * meant)),
+        "ratio_floor": float(np.std(beta * (least - meant))),
+        "ratio_unscaled": float(np.std((person.beta - beta) * meant)),
+        "ratio_silent": float(np.std(beta * meant)),
+    }
+
+
+def _from_path(tip_mm: Array, path_mm: Array) -> Array:
+    """Return the distance of tips from a path of straight legs [mm], shape (n,)."""
+    nearest = np.full(len(tip_mm), np.inf)
+    for start, end in pairwise(path_mm):
+        leg = end - start
+        along = np.clip((tip_mm - start) @ leg / max(float(leg @ leg), 1e-12), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(tip_mm - start - along[:, None] * leg, axis=1))
+    return nearest

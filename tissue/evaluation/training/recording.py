@@ -12,7 +12,6 @@ from tissue.builders.hand import hand_motion
 from tissue.builders.loop import judged_loop
 from tissue.builders.loop_settings import loop_settings
 from tissue.builders.registry import build, motion_of
-from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration
@@ -36,7 +35,7 @@ DITHER_N = 1e-6
 
 @dataclass(frozen=True)
 class Recording:
-    """What a predictor sees of a run: one row a tick.
+    """Data of a run that a predictor sees: one row a tick.
 
     Attributes
     ----------
@@ -64,7 +63,7 @@ class Recording:
     true_position_m: Array | None = None
 
     def dithered_N(self) -> Array:
-        """The force with a little noise, the same every time."""
+        """Return the force with a little noise, the same every time."""
         return self.force_N + DITHER_N * np.random.default_rng(self.seed).standard_normal(self.force_N.shape)
 
     def episodes(self) -> list[Episode]:
@@ -79,7 +78,7 @@ class Recording:
 
 
 def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float = 1.0) -> Scene:
-    """The scene of a trial: hands, seeds and latencies in turn, nothing predicted, no stress beside the ticks.
+    """Return the scene of a trial: hands, seeds and latencies in turn, nothing predicted, no stress beside the ticks.
 
     Parameters
     ----------
@@ -143,23 +142,8 @@ class Recorder:
             rows[:, 6:],
         )
 
-    def ideal_N(self, scene: Scene, run: Recording) -> Array:
-        """Force that the scene's coupling gives without delay where the device of a run truly was, shape (n, 3).
-
-        Raises
-        ------
-        InputError
-            If the scene cannot be built.
-        """
-        motion, tissue = self._parts(scene)
-        assert run.true_position_m is not None
-        ticks = len(run.true_position_m)
-        motion.device = RecordedDevice(TICK_S * np.arange(ticks, dtype=np.float64), run.true_position_m)
-        rows, _, _ = _run(motion, tissue, ticks)
-        return rows[:, 3:6]
-
     def _parts(self, scene: Scene) -> tuple[HandMotion, TissueModel]:
-        """The hand of a scene and what it meets."""
+        """Return the hand of a scene and what it meets."""
         organ = isinstance(scene.tool, Probe) and not isinstance(scene.anatomy, WallAnatomy) and not scene.organ.viscous
         if organ and self._organ is not None:
             motion, _ = hand_motion(scene, motion_of(scene, step_s=TICK_S), step_s=TICK_S, allow_unstable=True)
@@ -177,7 +161,8 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
     motion.begin(tool)
     tissue.place(tool)
     rows: Array = np.zeros((ticks, 9))
-    contact, took = np.zeros((ticks, CONTACT_WIDTH)), np.zeros(ticks)
+    contact = np.zeros((ticks, CONTACT_WIDTH))
+    took = np.zeros(ticks)
     response = Response.empty(len(tissue.layer_names))
     raw = slice(motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1)
     knows = TRUE[0] in motion.measure_names
@@ -195,6 +180,7 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, Ar
         took[index] = perf_counter() - start
         motion.play(response)
         contact[index] = motion.contact(response).row()
-        row[:3], row[3:6] = 1e-3 * motion.measures[:3], motion.measures[raw]
+        row[:3] = 1e-3 * motion.measures[:3]
+        row[3:6] = motion.measures[raw]
         row[6:] = 1e-3 * motion.measures[true : true + 3]
     return rows, contact, took

@@ -24,7 +24,7 @@ __all__ = ["fit_population", "new_person", "pooled_trials"]
 
 
 def pooled_trials(sessions: list[Session]) -> PopulationTrials:
-    """Trials of many sessions, end to end."""
+    """Return the trials of many sessions, end to end."""
     compared = [(who, asked, answer) for who, each in enumerate(sessions) for asked, answer in each.asked]
     numbers = [(who, force, number) for who, each in enumerate(sessions) for force, number in each.given]
     return PopulationTrials(
@@ -40,7 +40,7 @@ def pooled_trials(sessions: list[Session]) -> PopulationTrials:
 
 
 def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> Observer:
-    """What is known of a person of the population who was not asked: between people and what is not known of them."""
+    """Return an observer for a person of the population who was not asked, with the spread between people."""
     flat = {name: fit.draws[name].ravel() for name in HYPER}
     count = len(flat["beta"])
 
@@ -79,7 +79,9 @@ def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool, progr
         require_new_file(path, overwrite=overwrite)
     if not folder.is_dir():
         raise InputError(f"population must be a folder of sessions, got {folder}: calibrate into one first")
-    paths, empty, sessions = sorted(folder.glob("*.trials.jsonl")), [], []
+    paths = sorted(folder.glob("*.trials.jsonl"))
+    empty = []
+    sessions = []
     for path in paths:
         _, session = read_log(path)
         if session.asked and session.given:
@@ -100,8 +102,10 @@ def fit_population(folder: Path, out: Path, *, seed: int, overwrite: bool, progr
     ]
     with whole_file(table) as temporary:
         temporary.write_text("\n".join(["parameter,low_95,median,high_95,r_hat,ess", *rows]) + "\n", "utf-8")
-    kappa, beta = fit.interval("log_kappa"), fit.interval("beta")
-    worst, least = max(fit.r_hat.values()), min(fit.ess.values())
+    kappa = fit.interval("log_kappa")
+    beta = fit.interval("beta")
+    worst = max(fit.r_hat.values())
+    least = min(fit.ess.values())
     return [
         f"{len(sessions)} observers: median Weber fraction {100 * np.exp(kappa[1]):.1f} % "
         f"(95 % within {100 * np.exp(kappa[0]):.1f} to {100 * np.exp(kappa[2]):.1f} %), "

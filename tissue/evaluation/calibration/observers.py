@@ -1,4 +1,4 @@
-"""How often simulated people discriminate two stimuli, with and without force scaled for each of them.
+"""Simulated observers of known truth, and how often they discriminate two forces, with and without a scaled force.
 
 A person feels a force with noise of their own, which comes after the mapping; the scatter of the force itself comes
 before it. A mapping that rises with the force adds no information to a noise that went through it: the scatter of
@@ -9,28 +9,118 @@ people whose exponent lies below it gain, those above it lose, and the mean over
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from meshes.base.arrays import Array
-from tissue.evaluation.calibration.simulated_observer import SimulatedObservers
 from tissue.evaluation.statistics.hypothesis_test import Effect
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
-from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
+from tissue.perception.adaptive import MAGNITUDE_FORCES_N, fit_magnitudes
+from tissue.perception.laws import D_PRIME_75, Intensity, intensity_of
 from tissue.perception.mapping import ForceMap
-from tissue.perception.population import reference_observer
-from tissue.perception.psychometric import D_PRIME_75
-from tissue.perception.stevens import Intensity, intensity_of
+from tissue.perception.observer import population, reference_observer
 
-__all__ = ["Command", "Stimulus", "calibrated_commands", "chance_right", "gain_of", "sensitivity", "share_right"]
+__all__ = [
+    "Command",
+    "SimulatedObservers",
+    "Stimulus",
+    "calibrated_commands",
+    "chance_right",
+    "draw_observers",
+    "gain_of",
+    "sensitivity",
+    "share_right",
+]
 
 RESAMPLES = 2000
 """Groups of people drawn again for an interval."""
 Command = Callable[[Array], Array]
 """Force at the device [N] for the one that shall be felt [N], any shape."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedObservers:
+    """People of known truth who answer side by side; arrays of shape (n,).
+
+    Each of two intervals is felt with noise of unit variance on a scale on which the threshold kappa (F + offset) is
+    0.954 long, so that 75 % of the answers there are right. A force is given the number alpha (F / 1 N)^beta, with a
+    noise of its logarithm.
+
+    Attributes
+    ----------
+    alpha, beta
+        Stevens' factor and exponent.
+    kappa, offset_N
+        Weber's fraction and its term for low forces [N].
+    lapse
+        Share of strong stimuli that is answered wrongly; twice as many are answered blindly.
+    sigma
+        Standard deviation of the logarithm of a number that is given.
+    freedom
+        Degrees of freedom of Student's t for all noise, above 2; infinite for a normal one. The variance stays one.
+    fatigue
+        Share by which thresholds have grown after a hundred trials.
+    """
+
+    alpha: Array
+    beta: Array
+    kappa: Array
+    offset_N: Array
+    lapse: Array
+    sigma: Array
+    freedom: float = np.inf
+    fatigue: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.kappa)
+
+    def correct(
+        self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator, *, trial: int = 0
+    ) -> NDArray[np.bool_]:
+        """Whether each discriminates `base_N + step_N` from `base_N` [N], shape (n,); a step of 0 has no right answer.
+
+        Parameters
+        ----------
+        base_N, step_N
+            Smaller force and difference, one or one for each observer, shape (n,).
+        rng
+            Draws the noise; equal generators give the same noise whatever the forces.
+        trial
+            How many trials went before, by which people tire.
+        """
+        tired = max(1.0 + self.fatigue * trial / 100.0, 0.1)
+        threshold = tired * self.kappa * (np.asarray(base_N) + self.offset_N)
+        return self.discriminate(D_PRIME_75 * np.asarray(step_N) / threshold, rng)
+
+    def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """Return whether each discriminates two intervals that lie a distance d' from each other, shape (n,)."""
+        first = self._noise(rng)
+        second = self._noise(rng)
+        blind, guess = rng.random((2, len(self)))
+        return np.where(blind < 2.0 * self.lapse, guess < 0.5, np.asarray(distance) + second > first)
+
+    def number(self, force_N: ArrayLike, rng: np.random.Generator) -> Array:
+        """Return the number that each gives to a force [N], shape (n,)."""
+        return self.alpha * np.asarray(force_N) ** self.beta * np.exp(self.sigma * self._noise(rng))
+
+    def _noise(self, rng: np.random.Generator) -> Array:
+        """Draw noise of unit variance, shape (n,)."""
+        if np.isinf(self.freedom):
+            return rng.standard_normal(len(self))
+        return rng.standard_t(self.freedom, len(self)) * sqrt((self.freedom - 2.0) / self.freedom)
+
+
+def draw_observers(
+    group: str, count: int, rng: np.random.Generator, *, freedom: float = np.inf, fatigue: float = 0.0
+) -> SimulatedObservers:
+    """Observers of a group (novice, intermediate, expert), drawn from ``observers.toml`` and ``perception.toml``."""
+    people = replace(population(), kappa=constants("observers", group)["kappa"].value)
+    return SimulatedObservers(**people.draws(count, rng), freedom=freedom, fatigue=fatigue)
 
 
 @dataclass(frozen=True)
@@ -153,14 +243,14 @@ def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) 
 
 
 def _played(force_N: Array, device: ForceRange) -> Array:
-    """Sizes of force as the device plays them [N], any shape: `ForceRange.play` for many."""
+    """Return the sizes of force as the device plays them [N], any shape: `ForceRange.play` for many."""
     knee = device.knee_share * device.limit_N
     above = device.limit_N - knee
     return np.where(force_N <= knee, force_N, knee - above * np.expm1(-np.maximum(force_N - knee, 0.0) / above))
 
 
 def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Effect:
-    """Change of the mean of paired shares of right answers, each of shape (n,), in percent of what it was.
+    """Return the change of the mean of paired shares of right answers, each of shape (n,), in percent of what it was.
 
     The interval of 95 % is by drawing people again.
     """

@@ -1,0 +1,237 @@
+"""Answers of a session: a simulated observer, or a person at the keyboard who feels forces on a device."""
+
+from collections.abc import Callable
+from math import cos, inf, pi
+from pathlib import Path
+from time import perf_counter, sleep
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from meshes.base.text_numbers import number_in
+from tissue.evaluation.calibration.observers import SimulatedObservers, draw_observers
+from tissue.evaluation.calibration.session import Comparison, Magnitude, Plan
+from tissue.evaluation.calibration.trial_log import TrialLog, log_path, read_log
+from tissue.haptics.device.device import Device, device_parameters
+from tissue.haptics.device.recorded import MouseDevice
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.registry import DEVICES, GROUPS
+from tissue.system.outputs import require_new_file
+
+__all__ = [
+    "Answer",
+    "Person",
+    "StoppedError",
+    "begin",
+    "play",
+    "questioner",
+    "simulated_answers",
+    "simulated_observer",
+]
+
+Answer = Callable[[Comparison | Magnitude, int], float]
+"""Answers a trial of that number."""
+DIRECTION = np.array([0.0, 0.0, -1.0])
+"""Direction in which forces push the hand: down."""
+LENGTH_S = 0.8
+RAMP_S = 0.1
+PAUSE_S = 0.4
+"""Length of an interval, of its soft start and end, and of the pause between two [s]."""
+
+
+class StoppedError(Exception):
+    """Raised when a person stops a session."""
+
+
+def play(
+    device: Device,
+    force_N: float,
+    *,
+    length_s: float = LENGTH_S,
+    tick_s: float = TICK_S,
+    clock: Callable[[], float],
+    wait: Callable[[float], None] = sleep,
+) -> None:
+    """Push with a force for a while, with soft edges; whatever happens, the device is left without force.
+
+    Parameters
+    ----------
+    device
+        What plays it.
+    force_N
+        Force [N].
+    length_s
+        How long [s].
+    tick_s
+        Time between two commands [s].
+    clock, wait
+        Time since the device was started [s], and how to let time pass.
+    """
+    began = clock()
+    still = np.zeros(3)
+    try:
+        while (at := clock() - began) < length_s:
+            edge = min(at, length_s - at, RAMP_S) / RAMP_S
+            if device.read(began + at) is not None:
+                device.command(force_N * 0.5 * (1.0 - cos(pi * edge)) * DIRECTION, still)
+            else:
+                device.command(still, still)
+            wait(tick_s)
+    finally:
+        device.command(still, still)
+
+
+class Person:
+    """A person at a keyboard with a device.
+
+    Parameters
+    ----------
+    device
+        What plays the forces.
+    read
+        Gives the next line that the person types, without its end; raises EOFError when there is none.
+    show
+        Shows a line to the person.
+    bars_N
+        Greatest force for bars that represent forces, for devices that cannot push; None where they can.
+    clock, wait
+        Time that passes [s], from any start, and how to let it pass.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        *,
+        read: Callable[[], str],
+        show: Callable[[str], None],
+        bars_N: float | None = None,
+        clock: Callable[[], float] = perf_counter,
+        wait: Callable[[float], None] = sleep,
+    ) -> None:
+        self._device = device
+        self._read = read
+        self._show = show
+        self._bars_N = bars_N
+        self._wait = wait
+        start = clock()
+        self._clock = lambda: clock() - start
+
+    def answer(self, asked: Comparison | Magnitude) -> float:
+        """Play a trial and ask until the answer is a possible one.
+
+        Raises
+        ------
+        StoppedError
+            If the person types q, or nothing more comes.
+        """
+        forces: tuple[float, ...]
+        if isinstance(asked, Comparison):
+            question = "which was stronger, 1 or 2?"
+            forces = asked.forces_N
+        else:
+            question = "how strong was it, as a number above 0?"
+            forces = (asked.force_N,)
+        self._present(forces)
+        while True:
+            self._show(f"{question} (r: again, q: stop)")
+            try:
+                word = self._read().strip().lower()
+            except EOFError:
+                raise StoppedError("no answer came") from None
+            if word == "q":
+                raise StoppedError("stopped")
+            if word == "r":
+                self._present(forces)
+                continue
+            try:
+                number = number_in(word.replace(",", "."))
+            except ValueError:
+                number = 0.0
+            if isinstance(asked, Magnitude) and 0.0 < number < inf:
+                return number
+            if isinstance(asked, Comparison) and number in (1.0, 2.0):
+                return int(number)
+            allowed = "1 or 2" if isinstance(asked, Comparison) else "a number above 0"
+            self._show(f"answer must be {allowed}, got {word or 'nothing'}")
+
+    def _present(self, forces_N: tuple[float, ...]) -> None:
+        for index, force in enumerate(forces_N, start=1):
+            bar = "" if self._bars_N is None else "  " + "█" * max(round(60.0 * force / self._bars_N), 1)
+            self._show(f"interval {index}{bar}")
+            play(self._device, force, clock=self._clock, wait=self._wait)
+            self._wait(PAUSE_S)
+
+
+def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
+    """Return the one observer that simulated:SEED or simulated:GROUP:SEED names, and the seed.
+
+    Raises
+    ------
+    InputError
+        If the name is another.
+    """
+    kind, *parts = spec.split(":")
+    group, seed = (parts[0], parts[1]) if len(parts) == 2 else ("intermediate", parts[0] if parts else "")
+    if kind != "simulated" or len(parts) not in (1, 2) or not seed.isdecimal() or group not in GROUPS:
+        raise InputError(
+            f"observer must be simulated:SEED or simulated:GROUP:SEED with {', '.join(GROUPS)}, got {spec}: "
+            "use simulated:1"
+        )
+    return draw_observers(group, 1, np.random.default_rng(int(seed))), int(seed)
+
+
+def simulated_answers(people: SimulatedObservers, seed: int) -> Answer:
+    """Answers of one simulated observer; each trial draws from a generator of its own, so order does not matter."""
+
+    def answer(asked: Comparison | Magnitude, trial: int) -> float:
+        rng = np.random.default_rng([seed, 2, trial])
+        if isinstance(asked, Magnitude):
+            return float(people.number(asked.force_N, rng)[0])
+        right = bool(people.correct(asked.base_N, asked.step_N, rng, trial=trial)[0])
+        return asked.greater if right else 3 - asked.greater
+
+    return answer
+
+
+def questioner(
+    observer: str | None, device: str, *, seed: int, read: Callable[[], str], show: Callable[[str], None]
+) -> tuple[Answer, float]:
+    """Return the answers of a simulated observer or of a person, and the largest force of the device [N].
+
+    Raises
+    ------
+    InputError
+        If observer or device is unknown.
+    """
+    if device not in ("mouse", *DEVICES):
+        raise InputError(f"device must be one of mouse, {', '.join(DEVICES)}, got {device}: use mouse")
+    limits = device_parameters("touch" if device == "mouse" else device)
+    if observer is not None:
+        people, observer_seed = simulated_observer(observer)
+        return simulated_answers(people, observer_seed), limits.force_limit_N
+    plays: Device = MouseDevice() if device == "mouse" else SimulatedDevice(limits)
+    show("bars represent forces, as no force can be felt here: what is calibrated is the eye")
+    person = Person(plays, read=read, show=show, bars_N=limits.force_limit_N)
+    return lambda asked, _: person.answer(asked), limits.force_limit_N
+
+
+def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:
+    """Open the log of a session, new or continued.
+
+    Raises
+    ------
+    InputError
+        If the observer's file is there already and may not be replaced, or the log is of another session.
+    """
+    if out.suffix != ".json":
+        raise InputError(f"out must be the name of a file that ends in .json, got {out}: use observer.json")
+    path = log_path(out)
+    picture = out.with_suffix(".png")
+    for each in (out, picture):
+        require_new_file(each, overwrite=overwrite)
+    require_new_file(path, overwrite=True)  # one that is there is read below
+    if overwrite and path.exists():
+        read_log(path)
+        path.unlink()
+    return TrialLog(path, observer, plan)

@@ -1,0 +1,184 @@
+"""Perceptual scaling tick by tick: force map, deadband, and the estimate that a person makes of the force."""
+
+from math import exp, inf, sqrt
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.perception.estimate import LocalLevel
+from tissue.perception.laws import D_PRIME_75, Weber
+from tissue.perception.mapping import ForceMap
+
+__all__ = ["Deadband", "PerceivedForce", "Sense", "held_back"]
+
+REST_SHARE = 0.5
+"""Share of the smallest force that can be felt at all, below which zero is played."""
+BLOCK = 512
+"""Ticks whose random numbers are drawn at once."""
+
+
+class Deadband:
+    """Holds a vector while its distance to the wanted one is under the threshold at the held size; then takes the new.
+
+    The distance is that of vectors, so turning counts as well as growing. What is played is the wanted vector itself
+    whenever it changes, never a sum of steps, so that errors cannot accumulate: at every tick the error is below the
+    threshold. Noise that stays within the threshold of what is held is not played at all.
+
+    What is weaker than half of what can be felt from nothing is played as zero, so that nothing pulls in free air.
+
+    A force that is held while it should fall gives energy to the device: over a cycle as much as a Coulomb friction of
+    half the threshold with the wrong sign. A friction of more than that in the device, or the damping of a hand, pays.
+
+    Parameters
+    ----------
+    law
+        Threshold of the size.
+    widest
+        What the distance never exceeds, in the unit of the vector, however great the threshold; at least 0.
+
+    Attributes
+    ----------
+    held
+        What is played, shape (3,).
+    changed
+        Whether the last vector was far enough from what was held, and so is played.
+    """
+
+    def __init__(self, law: Weber, *, widest: float = inf) -> None:
+        self._widest = widest
+        self._kappa = law.kappa
+        self._least = law.kappa * law.offset
+        self._held = (0.0, 0.0, 0.0)
+        self._allowed = min(self._least, widest)
+        self._fresh = True
+        self.held: Array = np.zeros(3)
+        self.changed = False
+
+    def step(self, x: float, y: float, z: float) -> bool:
+        """Take the wanted vector in; whether `held` is another now."""
+        size = sqrt(x * x + y * y + z * z)
+        if rest := size < REST_SHARE * self._least:
+            x = y = z = size = 0.0
+        a, b, c = self._held
+        self.changed = self._fresh or (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 > self._allowed * self._allowed
+        if not (self.changed or (rest and (a or b or c))):
+            return False
+        self._fresh = False
+        self._held = x, y, z
+        self._allowed = min(self._kappa * size + self._least, self._widest)
+        self.held[0] = x
+        self.held[1] = y
+        self.held[2] = z
+        return True
+
+    def forget(self) -> None:
+        """Count the next vector as a change."""
+        self._fresh = True
+
+
+def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
+    """Apply a deadband to recorded vectors, shape (n, 3); return them and where they changed, shape (n,)."""
+    deadband = Deadband(law)
+    played = np.empty_like(wanted, dtype=float)
+    changes = np.zeros(len(wanted), dtype=bool)
+    for tick, vector in enumerate(np.asarray(wanted, dtype=float).tolist()):
+        changes[tick] = deadband.step(*vector)
+        played[tick] = deadband.held
+    return played, changes
+
+
+class Sense:
+    """Estimate of a force by a person: a noisy look every tick, averaged by the steady filter.
+
+    The gain is that of the time over which force is averaged, 1 - exp(-T / tau), and the noise of a look is such that
+    the estimate of a constant force scatters by the threshold: a change of one threshold is d' = 0.954 from none.
+    For this gain G and scatter s a look has the variance r = s^2 (2 - G) / G, and the filter assumes that the force
+    wanders by q = G^2 r / (1 - G) a tick.
+
+    Attributes
+    ----------
+    force_N
+        The estimate [N]; a size, never below 0.
+    """
+
+    def __init__(self, law: Weber, *, integration_s: float, tick_s: float, rng: np.random.Generator) -> None:
+        self.gain = 1.0 - exp(-tick_s / integration_s)
+        self._kappa = law.kappa
+        self._offset = law.offset
+        self._noise_ratio = sqrt((2.0 - self.gain) / self.gain) / D_PRIME_75
+        self._rng = rng
+        self._drawn = list[float]()
+        self._level = self.force_N = 0.0
+
+    def at(self, force_N: float) -> LocalLevel:
+        """Return the filter that this sense is at a force [N]."""
+        noise = (self._noise_ratio * self._kappa * (force_N + self._offset)) ** 2
+        return LocalLevel(wander=self.gain**2 * noise / (1.0 - self.gain), noise=noise)
+
+    def step(self, force_N: float) -> float:
+        """Look at a force [N] once; the new estimate."""
+        if not self._drawn:
+            self._drawn = self._rng.standard_normal(BLOCK).tolist()
+        seen = force_N + self._noise_ratio * self._kappa * (force_N + self._offset) * self._drawn.pop()
+        self._level += self.gain * (seen - self._level)
+        self.force_N = self._level if self._level > 0.0 else 0.0
+        return self.force_N
+
+
+class PerceivedForce:
+    """Perceptual scaling by the contract `tissue.perception.perception.Perception`.
+
+    Parameters
+    ----------
+    law
+        Command for a force, and the intensity of a command.
+    deadband
+        Holds the command until its change can be felt.
+    sense
+        What the observer takes the command for.
+    sentence
+        Who feels, and what is done to the force for that; reported before a run.
+
+    Attributes
+    ----------
+    steepest
+        Greatest slope of command over force: a loop is as stable as on a wall that much stiffer.
+    """
+
+    def __init__(self, law: ForceMap, deadband: Deadband, sense: Sense, *, sentence: str) -> None:
+        self.sentence = sentence
+        self.steepest = law.steepest
+        self.law = law
+        self.deadband = deadband
+        self.sense = sense
+        self.estimated_N = self.perceived = self.perceived_spread = self._size = 0.0
+        self.above = False
+
+    def step(self, force_N: Array) -> Array:
+        """Return the force to command [N], shape (3,); the array is overwritten by the next step.
+
+        Raises
+        ------
+        InputError
+            If the force is not finite; nothing has changed then.
+        """
+        x, y, z = force_N.tolist()
+        size = sqrt(x * x + y * y + z * z)
+        if not size < inf:
+            raise InputError(f"force must be finite, got {force_N}: hold it back with a SampleGuard")
+        share = self.law.table.at(size) / size if size > 0.0 else 1.0
+        deadband = self.deadband
+        if deadband.step(share * x, share * y, share * z):
+            a, b, c = deadband.held.tolist()
+            self._size = sqrt(a * a + b * b + c * c)
+            self.perceived = self.law.intensity.at(self._size)
+            self.perceived_spread = self.law.spread.at(self._size)
+        self.above = deadband.changed
+        self.estimated_N = self.sense.step(self._size)
+        return deadband.held
+
+    def pause(self) -> None:
+        """Reset after a missing sample: command nothing, and count the next force as a change."""
+        self.deadband.forget()
+        self.above = False
