@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.ct.attenuation import density_of, hounsfield, linear_attenuation
 from meshes.ct.density import ASH_SHARE, ASH_SHARE_SD, DensityLaw
@@ -131,12 +131,12 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> InternalCalibrati
     means = np.array([regions[tissue].mean_HU for tissue in tissues])
     errors = np.array([regions[tissue].error_HU for tissue in tissues])
 
-    def predicted(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
+    def predicted(unknown: Array) -> Array:
         energy = _energy(unknown)
         each = [1.0 + _SPREAD[tissue] * unknown[4 + k] for k, tissue in enumerate(tissues)]
         return np.array([_read(f * linear_attenuation(t, energy), unknown) for f, t in zip(each, tissues, strict=True)])
 
-    def misfit(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
+    def misfit(unknown: Array) -> Array:
         return np.concatenate([(predicted(unknown) - means) / errors, unknown])
 
     limits = [(edge - _ENERGY_KEV) / _ENERGY_SD_KEV for edge in (_LOWEST_KEV, _HIGHEST_KEV)]
@@ -171,17 +171,17 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> InternalCalibrati
     return InternalCalibration(law, energy, energy_sd, k2hpo4, regions, misfits, _notes(tissues, source, energy))
 
 
-def _energy(unknown: NDArray[np.float64]) -> float:
+def _energy(unknown: Array) -> float:
     return _ENERGY_KEV + _ENERGY_SD_KEV * float(unknown[0])
 
 
-def _read(attenuation_1_m: float, unknown: NDArray[np.float64]) -> float:
+def _read(attenuation_1_m: float, unknown: Array) -> float:
     """Hounsfield units that the scanner shows of a linear attenuation [1/m]."""
     true = hounsfield(attenuation_1_m, _energy(unknown))
     return (1.0 + _SCALE_SD * float(unknown[1])) * true + _WATER_SD_HU * float(unknown[2])
 
 
-def _density_line(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
+def _density_line(unknown: Array) -> Array:
     """Slope [kg/m3 per HU] and offset [kg/m3]: dense bone and marrow share the volume."""
     energy, fat = _energy(unknown), _MARROW_FAT + _MARROW_FAT_SD * unknown[3]
     marrow = fat * linear_attenuation("adipose", energy) + (1.0 - fat) * linear_attenuation("muscle", energy)
@@ -190,7 +190,7 @@ def _density_line(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([slope, -slope * marrow_HU])
 
 
-def _k2hpo4_line(unknown: NDArray[np.float64]) -> tuple[float, float]:
+def _k2hpo4_line(unknown: Array) -> tuple[float, float]:
     """Slope [kg/m3 per HU] and offset [kg/m3]: K2HPO4 and triglyceride share the volume."""
     energy = _energy(unknown)
     salt_HU, fat_HU = (_read(linear_attenuation(each, energy), unknown) for each in ("K2HPO4", "triglyceride"))
@@ -198,9 +198,7 @@ def _k2hpo4_line(unknown: NDArray[np.float64]) -> tuple[float, float]:
     return slope, -slope * fat_HU
 
 
-def _with_derivatives(
-    function: Callable[[NDArray[np.float64]], NDArray[np.float64]], at: NDArray[np.float64], step: float = 1e-3
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _with_derivatives(function: Callable[[Array], Array], at: Array, step: float = 1e-3) -> tuple[Array, Array]:
     """A function's value and its derivatives by central differences, shape (values, unknowns)."""
     slopes = [function(at + step * unit) - function(at - step * unit) for unit in np.eye(len(at))]
     return function(at), np.array(slopes).T / (2.0 * step)

@@ -1,8 +1,8 @@
 """A bone of two surfaces: cortical bone around a core of trabecular bone, as segmentations give them."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes, Floats
 from meshes.base.errors import InputError, require_ranges
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
@@ -53,12 +53,10 @@ def cored_anatomy(
     inner = site.to_site(core.vertices_m), core.faces
     vertices, faces = joined([(site.to_site(surface.vertices_m), surface.faces), inner])
 
-    def distance(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    def distance(points: Floats) -> Floats:
         return triangle_distance(vertices, faces, points).astype(points.dtype)
 
-    def classify(
-        points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         layer = inside_surface(*inner, points).astype(np.uint8)
         return layer, np.where(layer == 0, np.float32(dense), np.float32(sparse))
 

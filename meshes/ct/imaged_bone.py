@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes, Floats
 from meshes.base.errors import InputError, require_ranges
 from meshes.images.frame import Image
 from meshes.images.itk import header_lines
@@ -69,12 +69,10 @@ def imaged_anatomy(
     to_voxels = (site.rotation / spacing[:, None]).astype(np.float32)
     first = ((site.centre_m - origin) / spacing).astype(np.float32)
 
-    def distance(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    def distance(points: Floats) -> Floats:
         return triangle_distance(vertices, faces, points).astype(points.dtype)
 
-    def classify(
-        points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Layer and density [kg/m3] of points [m], shape (n, 3), at depths below the surface [m], shape (n,)."""
         from scipy.ndimage import map_coordinates
 

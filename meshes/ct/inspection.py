@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Ints
 from meshes.base.errors import by, in_brackets
 from meshes.images.frame import Image
 
@@ -39,10 +40,10 @@ class Histogram:
     """
 
     first: int
-    counts: NDArray[np.int64]
+    counts: Ints
 
     @property
-    def values(self) -> NDArray[np.int64]:
+    def values(self) -> Ints:
         """Value of each count."""
         return self.first + np.arange(len(self.counts))
 

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Ints, Singles
 from meshes.base.errors import InputError, counted
 from meshes.images.frame import Image
 from meshes.images.part import box_of, part_of
@@ -19,9 +19,7 @@ MARGIN = 4
 _LISTED = 6
 
 
-def kept_label(
-    image: Image, mask: NDArray[np.bool_], name: str
-) -> tuple[tuple[NDArray[np.float64], NDArray[np.int64]], tuple[str, ...]]:
+def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints], tuple[str, ...]]:
     """Vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3), around a label, and a sentence each on it.
 
     Every piece is smoothed by itself and keeps its own volume. Where it is so thin that the smooth surface leaves a
@@ -73,7 +71,7 @@ def kept_label(
     return image_triangles(smooth, threshold=0.0), tuple(notes)
 
 
-def _smoothed(piece: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _smoothed(piece: Flags) -> Singles:
     """Above 0 in as many voxels as a piece has, smoothly, and nowhere far from any voxel of it."""
     from scipy.ndimage import binary_dilation, gaussian_filter
 

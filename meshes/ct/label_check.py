@@ -1,8 +1,8 @@
 """Comparison of a label with the grey values under it: a bone that lies where no bone is, a soft organ over air."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Flags
 from meshes.base.errors import InputError
 from meshes.ct.threshold import LOWEST_HU
 from meshes.images.frame import Image
@@ -17,7 +17,7 @@ _SOFT_HU = (-200.0, 300.0)
 _CAUSES = "give the labels of this image, and check that they are not flipped, moved or of another organ"
 
 
-def bone_label_note(image: Image, mask: NDArray[np.bool_], name: str) -> str:
+def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     """Return a warning where most of a bone's label lies below 150 HU; an empty text where it does not.
 
     Parameters
@@ -44,7 +44,7 @@ def bone_label_note(image: Image, mask: NDArray[np.bool_], name: str) -> str:
     return ""
 
 
-def soft_label_note(image: Image, mask: NDArray[np.bool_], name: str) -> str:
+def soft_label_note(image: Image, mask: Flags, name: str) -> str:
     """Return a warning where the median of a soft organ's label is no soft tissue's; an empty text where it is.
 
     Parameters are those of `bone_label_note`.

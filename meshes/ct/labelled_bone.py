@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Floats, Ints, Singles
 from meshes.base.errors import InputError, counted
 from meshes.base.simplices import enclosed_volume
 from meshes.ct.threshold import filled, largest_component
@@ -52,10 +52,10 @@ class BoneOfImage:
     """
 
     image: Image
-    field: NDArray[np.float32]
+    field: Singles
     level: float
-    triangles: tuple[NDArray[np.float64], NDArray[np.int64]]
-    cuts: tuple[NDArray[np.float64], ...]
+    triangles: tuple[Array, Ints]
+    cuts: tuple[Array, ...]
     notes: tuple[str, ...]
     label_mm3: float
 
@@ -64,7 +64,7 @@ class BoneOfImage:
         """Volume that the triangles enclose [mm3]."""
         return enclosed_volume(*self.triangles)
 
-    def density(self, law: Callable[[NDArray[np.floating]], NDArray[np.float32]]) -> Image:
+    def density(self, law: Callable[[Floats], Singles]) -> Image:
         """Apparent density [kg/m3] of the bone and of some voxels around it, 0 elsewhere.
 
         A voxel that the surface crosses holds bone and soft tissue: its grey value is that of both by their shares, so
@@ -87,7 +87,7 @@ class BoneOfImage:
         whole = np.rint(found).astype(np.uint16)
         return replace(self.image, values=whole, notes=())
 
-    def _share(self) -> NDArray[np.float32]:
+    def _share(self) -> Singles:
         """Share of each voxel that is bone, the field interpolated within those that the surface crosses."""
         from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
@@ -128,7 +128,7 @@ def cropped(image: Image, box_mm: Box) -> Image:
     return part_of(image, tuple(map(slice, first.tolist(), last.tolist())))
 
 
-def by_label(image: Image, mask: NDArray[np.bool_]) -> BoneOfImage:
+def by_label(image: Image, mask: Flags) -> BoneOfImage:
     """The bone that a label marks; `mask` has the image's shape.
 
     The steps of the label are smoothed away. The level of the surface leaves as many voxels above it as the label has;
@@ -169,7 +169,7 @@ def _of_pieces(other: float) -> list[str]:
     return [f"The next piece has {other:.0%} of the size of the one that was taken: crop to the bone that is meant."]
 
 
-def _laid(part: Image, field: NDArray[np.float32], level: float, notes: list[str], voxels: int) -> BoneOfImage:
+def _laid(part: Image, field: Singles, level: float, notes: list[str], voxels: int) -> BoneOfImage:
     """The bone where a field is above a level, which a label or threshold marks in so many voxels."""
     imaged = replace(part, values=field)
     triangles = image_triangles(imaged, threshold=level)
@@ -180,7 +180,7 @@ def _laid(part: Image, field: NDArray[np.float32], level: float, notes: list[str
     return BoneOfImage(part, field, level, triangles, cuts, tuple(notes), marked_mm3)
 
 
-def _around(image: Image, mask: NDArray[np.bool_]) -> tuple[Image, NDArray[np.bool_]]:
+def _around(image: Image, mask: Flags) -> tuple[Image, Flags]:
     """The part of an image around a mask, and the mask there."""
     box = box_of(mask, MARGIN)
     return part_of(image, box), np.ascontiguousarray(mask[box])

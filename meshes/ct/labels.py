@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Flags
 from meshes.base.errors import InputError, by, is_folder, require_file
 from meshes.base.text_tables import read_toml
 from meshes.images.data import first_bytes
@@ -63,11 +64,11 @@ class Labels:
             raise InputError(f"label must be one that {self.image.source} holds, got {name}: use one of {shown}{more}")
         return found[0]
 
-    def mask(self, name: str) -> NDArray[np.bool_]:
+    def mask(self, name: str) -> Flags:
         """Where a label is, or all that share its name, shape of the image; raises as `number`."""
         one = self.number(name)
         alike = [number for number, each in self.names.items() if each == self.names[one]]
-        found: NDArray[np.bool_] = self.image.values == one if len(alike) == 1 else np.isin(self.image.values, alike)
+        found: Flags = self.image.values == one if len(alike) == 1 else np.isin(self.image.values, alike)
         return found
 
 

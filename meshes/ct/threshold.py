@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError
 from meshes.ct.inspection import Histogram
 from meshes.images.frame import Image
@@ -60,7 +60,7 @@ def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> Suggestio
     return Suggestion(held, soft, f"threshold {held:g} HU by Otsu's criterion above soft tissue at {soft:g} HU")
 
 
-def _otsu(values: NDArray[np.float64], counts: NDArray[np.float64]) -> float:
+def _otsu(values: Array, counts: Array) -> float:
     """Return the value that parts a histogram with the largest variance between the parts (Otsu 1979).
 
     Empty bins between two parts all have that variance. The value lies in the middle between the parts.
@@ -79,7 +79,7 @@ def _otsu(values: NDArray[np.float64], counts: NDArray[np.float64]) -> float:
     return float(0.5 * (values[first] + values[min(last + 1, len(values) - 1)]))
 
 
-def largest_component(mask: NDArray[np.bool_], source: str) -> tuple[NDArray[np.bool_], float]:
+def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
     """The largest piece of a mask, and the share of the next that it is not [0 to 1].
 
     Raises
@@ -98,7 +98,7 @@ def largest_component(mask: NDArray[np.bool_], source: str) -> tuple[NDArray[np.
     return pieces == largest + 1, float(others.max() / sizes[largest]) if len(others) else 0.0
 
 
-def filled(mask: NDArray[np.bool_], image: Image) -> NDArray[np.bool_]:
+def filled(mask: Flags, image: Image) -> Flags:
     """The mask with marrow and pores in it: gaps of the cortex closed, then what is enclosed in a plane is filled.
 
     A bone that the edge of the image cuts off encloses its marrow only in planes; each of the three directions counts.
@@ -115,5 +115,5 @@ def filled(mask: NDArray[np.bool_], image: Image) -> NDArray[np.bool_]:
                 grown[plane] = binary_fill_holes(grown[plane])
     closed = distance_transform_edt(grown, sampling=image.spacing_mm) > CLOSED_MM
     inner = tuple(slice(m, -m) for m in margin)
-    kept: NDArray[np.bool_] = (closed | padded)[inner]
+    kept: Flags = (closed | padded)[inner]
     return kept

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Ints, Singles
 from meshes.ct.labels import Labels, on_grid_of
 from meshes.images.frame import Image
 
@@ -62,11 +63,11 @@ class Region:
 class _Slab:
     """Some slices with what filters of 3 x 3 x 3 voxels make of them, flat arrays but for `values`."""
 
-    values: NDArray[np.float32]
-    mean: NDArray[np.float32]
-    sd: NDArray[np.float32]
-    spread: NDArray[np.float32]
-    least: NDArray[np.float32]
+    values: Singles
+    mean: Singles
+    sd: Singles
+    spread: Singles
+    least: Singles
 
 
 def find_regions(image: Image, *, labels: Labels | None = None) -> dict[str, Region]:
@@ -87,8 +88,8 @@ def find_regions(image: Image, *, labels: Labels | None = None) -> dict[str, Reg
     slabs = _slab_starts(image.values.shape)
     noise = _noise(image, slabs)
     counts = np.zeros(1300, dtype=np.int64)
-    air: list[NDArray[np.float32]] = []
-    dense: list[NDArray[np.float32]] = []
+    air: list[Singles] = []
+    dense: list[Singles] = []
     padding = float(image.values.min())
     reach = _METAL_REACH_MM / np.array(image.spacing_mm)
     for slab in _slabs(image, slabs):
@@ -148,7 +149,7 @@ def _noise(image: Image, slabs: _Slabs) -> float:
     return float(np.quantile(soft if soft.size > 1000 else slab.sd, 0.3))
 
 
-def _most_frequent(tissue: str, counts: NDArray[np.int64], voxel_mm3: float, noise: float) -> Region | None:
+def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) -> Region | None:
     """Region around a maximum of the histogram in the tissue's range, if it holds enough.
 
     The highest maximum; of muscle the lowest that is not small, since organs with contrast medium lie above it. The
@@ -175,7 +176,7 @@ def _most_frequent(tissue: str, counts: NDArray[np.int64], voxel_mm3: float, noi
     return Region(tissue, mean, error, count * voxel_mm3, "value")
 
 
-def _dense_voxels(slab: _Slab, noise: float, reach: NDArray[np.float64]) -> NDArray[np.float32]:
+def _dense_voxels(slab: _Slab, noise: float, reach: Array) -> Singles:
     """Local means [HU] of bone within bone, away from metal."""
     from scipy.ndimage import uniform_filter
 
@@ -187,7 +188,7 @@ def _dense_voxels(slab: _Slab, noise: float, reach: NDArray[np.float64]) -> NDAr
     return slab.mean[chosen & (slab.sd < np.maximum(2.0 * noise, 0.06 * slab.mean))]
 
 
-def _cortex(dense: NDArray[np.float32], voxel_mm3: float) -> Region | None:
+def _cortex(dense: Singles, voxel_mm3: float) -> Region | None:
     """Median of the densest tenth, its error from how the tenth above and below differ."""
     count = max(int(_DENSEST_SHARE * len(dense)), math.ceil(_SMALLEST_CORTEX_MM3 / voxel_mm3), _FEWEST_VOXELS)
     if len(dense) < count:

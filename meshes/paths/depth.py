@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.paths.toolpath import Toolpath
 from meshes.surfaces.surface import Surface
 from meshes.voxels.column_crossings import inside_scattered
@@ -28,8 +28,8 @@ class PathDepth:
         Distance of each from the bone's surface [mm], shape (n,), positive inside the bone and negative outside.
     """
 
-    points_mm: NDArray[np.float64]
-    depth_mm: NDArray[np.float64]
+    points_mm: Array
+    depth_mm: Array
 
     @property
     def deepest_mm(self) -> float:
@@ -50,7 +50,7 @@ def depth_along(path: Toolpath, surface: Surface) -> PathDepth:
     return PathDepth(points, 1e3 * np.where(inside, distance, -distance))
 
 
-def _densified(points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+def _densified(points_mm: Array) -> Array:
     """Points on the lines between points, all given ones among them; farther apart where there were very many."""
     length = np.linalg.norm(np.diff(points_mm, axis=0), axis=1)
     step = max(_STEP_MM, float(length.sum()) / _MOST_POINTS)

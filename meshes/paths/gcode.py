@@ -9,8 +9,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
 __all__ = ["read_gcode"]
@@ -21,7 +21,7 @@ _MODES = {0.0: "motion", 1.0: "motion", 20.0: "unit", 21.0: "unit", 90.0: "reach
 _INCH_MM = 25.4
 
 
-def read_gcode(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def read_gcode(file: Path) -> tuple[Array, Array]:
     """Points [mm], shape (n, 3), in the frame of the file, and the feed to each [mm/s], shape (n,), NaN for G0.
 
     Raises

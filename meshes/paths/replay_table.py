@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from meshes.base.whole_file import whole_file
 from meshes.paths.toolpath import Toolpath
@@ -38,9 +38,9 @@ class ReplayTable:
         Orientations (x, y, z, w), shape (n, 4); (0, 0, 0, 1) points the tool along -z.
     """
 
-    times_s: NDArray[np.float64]
-    tips_mm: NDArray[np.float64]
-    quaternions: NDArray[np.float64]
+    times_s: Array
+    tips_mm: Array
+    quaternions: Array
 
     def write(self, path: Path) -> None:
         """Write the CSV that ``motion.kind = "replay"`` reads."""
@@ -98,7 +98,7 @@ def to_replay(
     return ReplayTable(times[moved], tips[moved], turns.as_quat())
 
 
-def _towards(axis: NDArray[np.float64]) -> "Rotation":
+def _towards(axis: Array) -> "Rotation":
     """Shortest turn that brings z to a unit vector."""
     from scipy.spatial.transform import Rotation
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_file
 from meshes.base.text_numbers import number_in, require_distinct_columns
 from meshes.paths.gcode import read_gcode
@@ -33,9 +33,9 @@ class Toolpath:
         Unit vectors from the tip towards the shaft at each point, LPS, shape (n, 3); None where the file states none.
     """
 
-    points_mm: NDArray[np.float64]
-    feeds_mm_s: NDArray[np.float64] | None = None
-    axes: NDArray[np.float64] | None = None
+    points_mm: Array
+    feeds_mm_s: Array | None = None
+    axes: Array | None = None
 
 
 def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
@@ -73,7 +73,7 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     )
 
 
-def _read_table(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, NDArray[np.float64] | None]:
+def _read_table(file: Path) -> tuple[Array, Array | None, Array | None]:
     """Points, feeds and axes of a CSV file, in its frame."""
     try:
         with file.open(newline="", encoding="utf-8-sig") as opened:

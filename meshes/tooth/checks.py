@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.surfaces.repair import Triangles
 from meshes.tooth.layer_contact import inside_surface
@@ -49,7 +49,7 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
     )
 
 
-def require_touching(points_m: Mapping[str, NDArray[np.float64]], solids: Mapping[str, Triangles]) -> None:
+def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangles]) -> None:
     """Refuse layers that lie in no other layer and farther than 0.5 mm from every one.
 
     Parameters
@@ -74,7 +74,7 @@ def require_touching(points_m: Mapping[str, NDArray[np.float64]], solids: Mappin
             )
 
 
-def require_pulp_within(pulp_m: NDArray[np.float64], dentin: Triangles, dentin_samples_m: NDArray[np.float64]) -> None:
+def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Array) -> None:
     """Refuse a pulp of whose surface less than 60 % lies within the dentin or 0.2 mm from its surface.
 
     Parameters

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes, Ints
 from meshes.base.errors import InputError
 from meshes.tooth.layers import TOOTH_LAYERS
 
@@ -33,7 +34,7 @@ class LayerImage:
         Voxel of the image that is the first of `layer`.
     """
 
-    layer: NDArray[np.uint8]
+    layer: Bytes
     counts: Mapping[str, int]
     island_count: int
     island_voxels: int
@@ -107,7 +108,7 @@ def _label_counts(values: NDArray[np.number], source: str) -> dict[int, int]:
     return dict(sorted(found.items()))
 
 
-def _distinct(plane: NDArray[np.number]) -> tuple[NDArray[np.number], NDArray[np.int64]]:
+def _distinct(plane: NDArray[np.number]) -> tuple[NDArray[np.number], Ints]:
     """Numbers in an array and how often each is there; without a sort where they are whole and few."""
     if plane.dtype.kind in "iu":
         lowest = int(plane.min())

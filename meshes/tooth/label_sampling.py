@@ -8,8 +8,8 @@ from itertools import product
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.tooth.label_image import EMPTY
@@ -42,13 +42,13 @@ class PlacedLabels:
         Site's origin [m] from there, and its axes as columns in the file's frame.
     """
 
-    layer: NDArray[np.uint8]
-    spacing: NDArray[np.float64]
-    first_m: NDArray[np.float64]
-    origin: NDArray[np.float64]
-    rotation: NDArray[np.float64]
+    layer: Bytes
+    spacing: Array
+    first_m: Array
+    origin: Array
+    rotation: Array
 
-    def on_plane(self, x: float, y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.uint8]:
+    def on_plane(self, x: float, y: Array, z: Array) -> Bytes:
         """Layer at the points of a plane of the site frame, shape (ny, nz); a margin of empty voxels is `EMPTY`."""
         number = np.zeros((len(y), len(z)), dtype=np.int32)
         for axis, count in enumerate(self.layer.shape):
@@ -65,9 +65,7 @@ class PlacedLabels:
         """Where the site lies in the file."""
         return Placement(1e3 * (self.first_m + self.origin), self.rotation)
 
-    def around(
-        self, corners: NDArray[np.float64], reach: int
-    ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+    def around(self, corners: Array, reach: int) -> tuple[Bytes, Array, Array]:
         """Labels of the voxels in a box [m] of the site frame and `reach` voxels beyond, and where a point is in them.
 
         Returns
@@ -83,7 +81,7 @@ class PlacedLabels:
         return self.layer[kept].copy(), start - low, turn
 
     @cached_property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Array:
         """Lowest and highest corner [m] of the tooth in the site frame, shape (2, 3)."""
         steps = [max(n // 160, 1) for n in self.layer.shape]
         index = np.argwhere(self.layer[:: steps[0], :: steps[1], :: steps[2]] != EMPTY) * steps
@@ -94,7 +92,7 @@ class PlacedLabels:
 
 def resampled(
     placed: PlacedLabels,
-    corners: NDArray[np.float64],
+    corners: Array,
     size: float,
     *,
     most_samples: int = MOST_SAMPLES,
@@ -141,7 +139,7 @@ def resampled(
     return VoxelVolume(origin, size, fraction, layer, density, TOOTH_LAYERS, placed.placement)
 
 
-def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequence[int]) -> NDArray[np.uint8]:
+def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequence[int]) -> Bytes:
     """Sub-samples of each voxel in each of up to eight layers, shape (nx, ny, nz, 8).
 
     Eight counters of a byte share a word, so one sum counts all layers; `parts`³ fits a byte.

@@ -14,8 +14,8 @@ from itertools import product
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Floats, Singles
 from meshes.images.label_spread import spread_labels
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.tooth.layers import LAYER_DENSITY_KG_M3, TOOTH_LAYERS
@@ -57,29 +57,29 @@ class LabelShares:
         Smallest side of the labels' voxels [m].
     """
 
-    layers: NDArray[np.uint8]
-    shares: tuple[NDArray[np.float32], ...]
-    solid: NDArray[np.float32]
-    start: NDArray[np.float64]
-    turn: NDArray[np.float64]
+    layers: Bytes
+    shares: tuple[Singles, ...]
+    solid: Singles
+    start: Array
+    turn: Array
     deviation_m: float
     voxel_m: float
 
     @classmethod
     def of(
         cls,
-        labels: NDArray[np.uint8],
+        labels: Bytes,
         layers: Sequence[int],
         *,
-        voxel_m: NDArray[np.float64],
-        start: NDArray[np.float64],
-        turn: NDArray[np.float64],
+        voxel_m: Array,
+        start: Array,
+        turn: Array,
     ) -> LabelShares:
         """Shares of layers in labels, shape (nx, ny, nz), of voxels with the sides `voxel_m`, shape (3,)."""
         deviation = SPREAD * float(voxel_m.max())
         there = [layer for layer in layers if (labels == layer).any()]
 
-        def share(layer: int) -> NDArray[np.float32]:
+        def share(layer: int) -> Singles:
             return spread_labels((labels == layer).astype(np.float32), deviation / voxel_m)
 
         with ThreadPoolExecutor(_THREADS) as pool:
@@ -87,18 +87,16 @@ class LabelShares:
         solid = np.asarray(sum(shares, start=np.zeros(labels.shape, np.float32)))
         return cls(np.array(there, np.uint8), shares, solid, start, turn, deviation, float(voxel_m.min()))
 
-    def sample(self, grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def sample(self, grid: Grid) -> tuple[Singles, Singles]:
         """Fraction of a grid's voxels, see `meshes.shapes.anatomy.GridSampler`; layers do not ask for the depth."""
         return self.fraction(grid), np.zeros(grid.shape, dtype=np.float32)
 
-    def classify(
-        self, points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Layer and density [kg/m3] at points, see `meshes.shapes.anatomy.Classify`."""
         layer = self.layer(points)
         return layer, _DENSITY_KG_M3[layer]
 
-    def layer(self, points: NDArray[np.floating]) -> NDArray[np.uint8]:
+    def layer(self, points: Floats) -> Bytes:
         """Layer of the greatest share at points [m], shape (n, 3)."""
         if len(self.layers) == 0:
             return np.zeros(len(points), np.uint8)
@@ -110,11 +108,11 @@ class LabelShares:
             found[part] = self.layers[np.argmax([_interpolated(share, at) for share in self.shares], axis=0)]
         return found
 
-    def distance(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def distance(self, points: Floats) -> Array:
         """Signed distance [m] to the surface at points [m], shape (n, 3); farther than a deviation a bound."""
         return -self.deviation_m * np.interp(self._solid_at(points), *_plane_share())
 
-    def fraction(self, grid: Grid) -> NDArray[np.float32]:
+    def fraction(self, grid: Grid) -> Singles:
         """Part of each voxel of a grid inside, 0 to 1, the surface a plane in parts no larger than a label's voxel."""
         from scipy.ndimage import binary_dilation
 
@@ -137,7 +135,7 @@ class LabelShares:
         result[near] = filled / np.float32(parts**3)
         return result.reshape(grid.shape)
 
-    def _part_fraction(self, centres: NDArray[np.float64], size: float) -> NDArray[np.float32]:
+    def _part_fraction(self, centres: Array, size: float) -> Singles:
         """Part inside of cubes of an edge [m], shape (n,)."""
         distance = self.distance(centres)
         fraction = (distance < 0.0).astype(np.float32)
@@ -152,16 +150,16 @@ class LabelShares:
             fraction[crossed] = cube_fraction(distance[crossed] / size, normal)
         return fraction
 
-    def _solid_at(self, points: NDArray[np.floating]) -> NDArray[np.float32]:
+    def _solid_at(self, points: Floats) -> Singles:
         """Share of all layers at points [m], shape (n, 3)."""
         return np.concatenate([_interpolated(self.solid, self._index(points[p])) for p in _parts(len(points))])
 
-    def _index(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    def _index(self, points: Floats) -> Array:
         """Indices [voxel] of points [m], shape (3, n)."""
         return np.asarray(self.start[:, None] + self.turn @ points.T)
 
 
-def _plane_share() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _plane_share() -> tuple[Array, Array]:
     """Share behind a plane, rising, and its depth below the plane [deviations]."""
     from scipy.special import ndtr
 
@@ -169,7 +167,7 @@ def _plane_share() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return ndtr(depth) + depth * np.exp(-0.5 * depth**2) / np.sqrt(2.0 * np.pi), depth
 
 
-def _interpolated(values: NDArray[np.float32], at: NDArray[np.float64]) -> NDArray[np.float32]:
+def _interpolated(values: Singles, at: Array) -> Singles:
     """Trilinear interpolation at indices, shape (3, n)."""
     from scipy.ndimage import map_coordinates
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError, require_positive
 from meshes.base.progress import Progress, silent
 from meshes.images.frame import Image
@@ -75,7 +75,7 @@ class LabelledTooth:
         self,
         *,
         resample_mm: float | None = None,
-        region_m: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+        region_m: tuple[Array, Array] | None = None,
         remark: Callable[[str], None] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> VoxelVolume:
@@ -134,7 +134,7 @@ class LabelledTooth:
                 remark(sentence)
         return volume
 
-    def _anatomy(self, corners: NDArray[np.float64]) -> Anatomy:
+    def _anatomy(self, corners: Array) -> Anatomy:
         """The tooth between two corners [m] as a function of position, its cavity filled."""
         labels, start, turn = self.placed.around(corners, REACH)
         if not self.has_pulp and self.cavity is not None:
@@ -187,7 +187,7 @@ def labelled_tooth(
     return LabelledTooth(placed, "pulp" in named.counts, float(spacing_mm.min()), sentences)
 
 
-def _placed(named: LayerImage, spacing: NDArray[np.float64], first_m: NDArray[np.float64]) -> tuple[PlacedLabels, str]:
+def _placed(named: LayerImage, spacing: Array, first_m: Array) -> tuple[PlacedLabels, str]:
     """The image with its site found, and how."""
     layer = np.ascontiguousarray(np.pad(named.layer, 1, constant_values=EMPTY))
     enamel = _points(layer == ENAMEL, spacing)
@@ -205,7 +205,7 @@ def _placed(named: LayerImage, spacing: NDArray[np.float64], first_m: NDArray[np
     return replace(placed, origin=origin), f"{axes.note}; origin on the {TOOTH_LAYERS[on_axis[top]]}"
 
 
-def _points(flags: NDArray[np.bool_], spacing: NDArray[np.float64]) -> NDArray[np.float64]:
+def _points(flags: Flags, spacing: Array) -> Array:
     """Centres of some of the flagged voxels [m], spread evenly, shape (n, 3)."""
     found = np.flatnonzero(flags)
     found = found[:: max(len(found) // _SITE_POINTS, 1)]
@@ -229,7 +229,7 @@ def _sentences(image: Image, named: LayerImage, note: str) -> list[str]:
     return sentences
 
 
-def _require_size(corners: NDArray[np.float64], size: float) -> None:
+def _require_size(corners: Array, size: float) -> None:
     """Refuse too many voxels."""
     count = float(np.prod(np.ptp(corners, axis=0) / size))
     if count > _MOST_VOXELS:
@@ -239,7 +239,7 @@ def _require_size(corners: NDArray[np.float64], size: float) -> None:
         )
 
 
-def _require_resolution(corners: NDArray[np.float64], size: float) -> None:
+def _require_resolution(corners: Array, size: float) -> None:
     """Refuse voxels too large for the tooth."""
     sides = np.ptp(corners, axis=0)
     if sides.min() < 8.0 * size:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.voxels.column_crossings import column_crossings, inside_scattered
 
@@ -41,12 +42,10 @@ class LayerContact:
     overlap_mm3: Mapping[tuple[str, str], float]
     gap_mm3: Mapping[tuple[str, str], float]
     void_mm3: float
-    gap_layer: NDArray[np.uint8]
+    gap_layer: Bytes
 
 
-def inside_surface(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.floating]
-) -> NDArray[np.bool_]:
+def inside_surface(vertices: Array, faces: Ints, points: Floats) -> Flags:
     """Whether points [m], shape (n, 3), lie within a closed surface, by the vertical line through each.
 
     Points of a grid share their lines, which is what makes this quick.
@@ -67,9 +66,7 @@ def inside_surface(
     return np.concatenate([[0], np.cumsum(crossings.entering)])[crossed] > 0
 
 
-def inside_lattice(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], axes: Sequence[NDArray[np.float64]]
-) -> NDArray[np.bool_]:
+def inside_lattice(vertices: Array, faces: Ints, axes: Sequence[Array]) -> Flags:
     """Whether the points of a lattice lie within a closed surface, shape (nx, ny, nz).
 
     Parameters
@@ -86,7 +83,7 @@ def inside_lattice(
     return np.cumsum(change.reshape(len(x), len(y), len(z) + 1), axis=2)[:, :, :-1] > 0.5
 
 
-def measure_contact(inside: Mapping[str, NDArray[np.bool_]], priority: Sequence[str]) -> LayerContact:
+def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> LayerContact:
     """Overlaps and gaps of layers given as flags on a lattice of pitch `PITCH_M`.
 
     Parameters
@@ -119,7 +116,7 @@ def measure_contact(inside: Mapping[str, NDArray[np.bool_]], priority: Sequence[
     )
 
 
-def _gaps(label: NDArray[np.uint8], names: list[str]) -> tuple[NDArray[np.uint8], dict[tuple[str, str], int]]:
+def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], int]]:
     """Layer index + 1 that takes each lattice point in a gap, and the number of points by pair of layers."""
     pairs = [(one, other) for k, one in enumerate(names) for other in names[k + 1 :] if _touch(one, other)]
     between = np.zeros_like(label)
@@ -140,7 +137,7 @@ def _touch(one: str, other: str) -> bool:
     return f"{one} {other}" in _TOUCHING or f"{other} {one}" in _TOUCHING
 
 
-def _drop_creases(between: NDArray[np.uint8], label: NDArray[np.uint8]) -> None:
+def _drop_creases(between: Bytes, label: Bytes) -> None:
     """Clear, in place, what is nowhere deeper than a gap is wide: the crease in which two layers meet from outside."""
     from scipy.ndimage import distance_transform_edt
     from scipy.ndimage import label as connected
@@ -152,7 +149,7 @@ def _drop_creases(between: NDArray[np.uint8], label: NDArray[np.uint8]) -> None:
     between[~deep[pieces]] = 0
 
 
-def _neighbours(label: NDArray[np.uint8], axis: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.int16]]:
+def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16]]:
     """Labels of the nearest filled point before and after each one along an axis (0: none), and points between them."""
     count = label.shape[axis]
     place = np.arange(count, dtype=np.int16).reshape([-1 if k == axis else 1 for k in range(3)])

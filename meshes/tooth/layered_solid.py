@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Floats, Singles
 from meshes.surfaces.repair import Triangles, merge_vertices
 from meshes.tooth.layer_contact import inside_surface
 from meshes.tooth.layers import BONE, LAYER_DENSITY_KG_M3, TOOTH_LAYERS
@@ -29,18 +30,18 @@ _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=
 class Lattice:
     """Values at points of even pitch [m], the first at `origin`."""
 
-    origin: NDArray[np.float64]
+    origin: Array
     pitch: float
     values: NDArray[np.number]
 
-    def __call__(self, points: NDArray[np.floating], *, beyond: float) -> NDArray[np.float32]:
+    def __call__(self, points: Floats, *, beyond: float) -> Singles:
         """Interpolate linearly to points [m], shape (n, 3); `beyond` outside the lattice."""
         from scipy.ndimage import map_coordinates
 
         index = ((points - self.origin) / self.pitch).T
         return map_coordinates(self.values, index, output=np.float32, order=1, mode="constant", cval=beyond)
 
-    def nearest(self, points: NDArray[np.floating]) -> NDArray[np.number]:
+    def nearest(self, points: Floats) -> NDArray[np.number]:
         """Value at the nearest lattice point; 0 outside the lattice."""
         index = np.rint((points - self.origin) / self.pitch).astype(np.int64)
         held = ((index >= 0) & (index < self.values.shape)).all(axis=1)
@@ -70,18 +71,18 @@ class LayeredSolid:
     solids: Mapping[int, Triangles]
     union: Triangles
     samples: cKDTree
-    sample_layer: NDArray[np.uint8]
+    sample_layer: Bytes
     gap: Lattice | None
     socket: Lattice | None
 
-    def distance(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
+    def distance(self, points: Floats) -> Floats:
         """Distance [m], shape (n,), of points [m], shape (n, 3), from the layers and the socket, negative inside."""
         away = triangle_distance(*self.union, points)
         if self.socket is not None:
             away = np.minimum(away, self.socket(points, beyond=1.0))
         return away.astype(points.dtype)
 
-    def sample(self, grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def sample(self, grid: Grid) -> tuple[Singles, Singles]:
         """Fraction and depth of the voxels of a grid, see `meshes.shapes.anatomy.GridSampler`."""
         fraction, depth = TriangleSampler(*self.union)(grid)
         if self.gap is None and self.socket is None:
@@ -99,9 +100,7 @@ class LayeredSolid:
         fraction[index] = filled
         return fraction, depth
 
-    def classify(
-        self, points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Layer that holds the point, by priority; in none, the layer that takes the gap, or the nearest."""
         layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
         left = np.arange(len(points))
@@ -129,7 +128,7 @@ def joined(solids: Sequence[Triangles]) -> Triangles:
     return merge_vertices(vertices, faces, _MERGE_TOLERANCE_M)[:2]
 
 
-def socket_lattice(ligament: NDArray[np.float64], others: NDArray[np.float64], margin: float) -> Lattice:
+def socket_lattice(ligament: Array, others: Array, margin: float) -> Lattice:
     """Distance [m] from the bone within `margin` of the ligament and nearer to it than to the rest of the tooth.
 
     Parameters

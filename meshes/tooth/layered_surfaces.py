@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from meshes.base.placement import Placement
 from meshes.base.simplices import cross_products
@@ -143,7 +143,7 @@ def _socket_margin(surfaces: Mapping[str, Surface], socket_mm: float) -> float:
 
 def _solid(
     placed: Mapping[str, Triangles],
-    samples: Mapping[str, NDArray[np.float64]],
+    samples: Mapping[str, Array],
     gap: Lattice | None,
     margin: float,
 ) -> LayeredSolid:
@@ -165,23 +165,21 @@ def _solid(
     )
 
 
-def _shape(solid: LayeredSolid, samples: Mapping[str, NDArray[np.float64]], margin: float) -> Shape:
+def _shape(solid: LayeredSolid, samples: Mapping[str, Array], margin: float) -> Shape:
     """Outer shape of the solid, with bounds around the samples and the socket's margin [m]."""
     points = np.concatenate(list(samples.values()))
     high = np.maximum(points.max(axis=0), samples.get("ligament", points).max(axis=0) + margin)
     return Shape(solid.distance, tuple((points.min(axis=0) - margin).tolist()), tuple(high.tolist()))
 
 
-def _spread(surface: Surface) -> NDArray[np.float64]:
+def _spread(surface: Surface) -> Array:
     """Points about 0.1 mm apart over a surface [m], shape (n, 3)."""
     area = 0.5 * float(np.linalg.norm(cross_products(surface.vertices_m, surface.faces), axis=1).sum())
     count = int(np.clip(area / _SAMPLE_PITCH_M**2, 1000, _MOST_SAMPLES))
     return sample_surface(surface.vertices_m, surface.faces, count).points
 
 
-def _site(
-    surfaces: Mapping[str, Surface], samples: Mapping[str, NDArray[np.float64]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], str]:
+def _site(surfaces: Mapping[str, Surface], samples: Mapping[str, Array]) -> tuple[Array, Array, str]:
     """Origin [m] and axes of the tooth's site in the frame of the surfaces, and how they were found."""
     body = np.concatenate([points for name, points in samples.items() if name not in ("enamel", "bone")])
     axes = tooth_axes(samples["enamel"], body)
@@ -196,7 +194,7 @@ def _site(
     )
 
 
-def _contact(placed: Mapping[str, Triangles], order: Sequence[str]) -> tuple[NDArray[np.float64], LayerContact]:
+def _contact(placed: Mapping[str, Triangles], order: Sequence[str]) -> tuple[Array, LayerContact]:
     """First point of the lattice [m], and how the layers fit together on it."""
     low = np.min([vertices.min(axis=0) for vertices, _ in placed.values()], axis=0) - 2.5 * PITCH_M
     high = np.max([vertices.max(axis=0) for vertices, _ in placed.values()], axis=0) + 2.5 * PITCH_M

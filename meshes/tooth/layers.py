@@ -18,6 +18,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Floats
+
 __all__ = [
     "BONE",
     "CARIES",
@@ -54,12 +56,12 @@ _SOUND_KG_M3, _INFECTED_KG_M3 = 2100.0, 1300.0
 _POINTS_AT_ONCE = 1 << 17
 
 
-def caries_density(softness: NDArray[np.floating]) -> NDArray[np.floating]:
+def caries_density(softness: Floats) -> Floats:
     """Density [kg/m3] of a lesion's voxels of the given softness, 0 (sound dentin) to 1 (fully softened), linear."""
     return _SOUND_KG_M3 - (_SOUND_KG_M3 - _INFECTED_KG_M3) * softness
 
 
-def caries_softness(density_kg_m3: NDArray[np.floating]) -> NDArray[np.floating]:
+def caries_softness(density_kg_m3: Floats) -> Floats:
     """Softness of voxels of the layer `caries` from their density [kg/m3]: (2100 - density)/800, held within 0 to 1.
 
     0 is sound dentin, 1 fully softened, infected dentin. Only for voxels of that layer: sound tissues have densities of
@@ -69,7 +71,7 @@ def caries_softness(density_kg_m3: NDArray[np.floating]) -> NDArray[np.floating]
     return np.clip((_SOUND_KG_M3 - density) / (_SOUND_KG_M3 - _INFECTED_KG_M3), 0.0, 1.0)
 
 
-def in_chunks(function: Callable[[NDArray[np.floating]], NDArray[Kind]], points: NDArray[np.floating]) -> NDArray[Kind]:
+def in_chunks(function: Callable[[Floats], NDArray[Kind]], points: Floats) -> NDArray[Kind]:
     """Apply a function of points, shape (n, 3), to parts that fit the processor's cache."""
     if len(points) <= _POINTS_AT_ONCE:
         return function(points)

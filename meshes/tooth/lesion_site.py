@@ -1,8 +1,8 @@
 """The site over a lesion of a tooth: straight in from the nearest point of the tooth's outer surface."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Singles
 from meshes.base.errors import InputError
 from meshes.surfaces.site import Site
 from meshes.tooth.layers import CARIES
@@ -60,9 +60,7 @@ def lesion_site(tooth: VoxelVolume) -> Site:
     return Site(centre, np.column_stack([x, np.cross(normal, x), normal]), note)
 
 
-def _outward(
-    smooth: NDArray[np.float32], middle: NDArray[np.float64], spacing: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _outward(smooth: Singles, middle: Array, spacing: float) -> tuple[Array, Array]:
     """Mean outward normal around the point of the surface nearest to the middle, and that point [voxels]."""
     shell = np.argwhere((smooth > 0.3) & (smooth < 0.7)).astype(np.float64)
     nearest = shell[np.argmin(np.linalg.norm(shell - middle, axis=1))]

@@ -22,8 +22,8 @@ cervical line to bone          1.5 mm         M, H: 1 to 2 in health
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes, Floats
 from meshes.base.errors import InputError, require_ranges
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, box
@@ -176,17 +176,17 @@ def _layers(
     """Classify by the parts' distances: pulp within dentin within enamel, ligament and bone around the roots."""
     crest = crown.cervix - _CREST_M
 
-    def dentin_distance(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    def dentin_distance(points: Floats) -> Floats:
         return tooth_distance(crown, roots, points, dentin=True)
 
-    def around(points: NDArray[np.floating], distance: NDArray[np.floating]) -> NDArray[np.uint8]:
+    def around(points: Floats, distance: Floats) -> Bytes:
         """Ligament or bone for points outside the roots."""
         layer = np.full(len(points), BONE, dtype=np.uint8)
         near = np.flatnonzero(distance < 2.0 * ligament)
         layer[near[_true_distance(dentin_distance, points[near], distance[near]) < ligament]] = LIGAMENT
         return layer
 
-    def layer_of(points: NDArray[np.floating]) -> NDArray[np.uint8]:
+    def layer_of(points: Floats) -> Bytes:
         """Layer, shape (n,), of points [m], shape (n, 3)."""
         distance = dentin_distance(points)
         layer = np.full(len(points), DENTIN, dtype=np.uint8)
@@ -200,9 +200,7 @@ def _layers(
         layer[inside[pulp.distance(points[inside]) < 0.0]] = PULP
         return layer
 
-    def classify(
-        points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at any depth."""
         layer = in_chunks(layer_of, points)
         density = _DENSITY[layer]
@@ -216,7 +214,7 @@ def _layers(
     return classify
 
 
-def _softness(points: NDArray[np.floating], diameter: float, depth: float) -> NDArray[np.floating]:
+def _softness(points: Floats, diameter: float, depth: float) -> Floats:
     """Softness (1 - r²)², r relative to an ellipsoid that hangs from the fossa; 0 outside."""
     across = (points[:, 0] ** 2 + points[:, 1] ** 2) * (4.0 / diameter**2)
     along = (points[:, 2] + 0.5 * depth) ** 2 * (4.0 / depth**2)
@@ -224,10 +222,10 @@ def _softness(points: NDArray[np.floating], diameter: float, depth: float) -> ND
 
 
 def _true_distance(
-    function: Callable[[NDArray[np.floating]], NDArray[np.floating]],
-    points: NDArray[np.floating],
-    value: NDArray[np.floating],
-) -> NDArray[np.floating]:
+    function: Callable[[Floats], Floats],
+    points: Floats,
+    value: Floats,
+) -> Floats:
     """First-order distance [m] near the surface: value over slope, by differences of 20 µm."""
     step = points.dtype.type(20e-6)
     slopes = []

@@ -8,8 +8,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
 __all__ = ["ToothAxes", "tooth_axes"]
@@ -33,12 +33,12 @@ class ToothAxes:
         How the long axis was found, a sentence.
     """
 
-    rotation: NDArray[np.float64]
-    middle_m: NDArray[np.float64]
+    rotation: Array
+    middle_m: Array
     note: str
 
 
-def tooth_axes(enamel_m: NDArray[np.float64], body_m: NDArray[np.float64]) -> ToothAxes:
+def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
     """Orientation of a tooth from points spread evenly over its enamel and over the rest of it.
 
     Parameters
@@ -75,7 +75,7 @@ def tooth_axes(enamel_m: NDArray[np.float64], body_m: NDArray[np.float64]) -> To
     return ToothAxes(np.column_stack([x, np.cross(up, x), up]), middle, note)
 
 
-def _widest(points: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
+def _widest(points: Array, up: Array) -> Array:
     """Unit vector across `up` along which the lower half of the points spreads most."""
     offset = points - points.mean(axis=0)
     lower = offset[offset @ up < 0.0]

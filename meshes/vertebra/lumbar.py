@@ -23,8 +23,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Floats
 from meshes.base.errors import InputError, require_ranges
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, capsule, union
@@ -61,17 +61,17 @@ class _Sizes:
         return self.depth + self.canal_depth
 
     @property
-    def isthmus(self) -> NDArray[np.float64]:
+    def isthmus(self) -> Array:
         """Middle of the narrowest part of the left pedicle [m]: beside the canal, cortex to cortex."""
         return np.array([self.canal_width + self.pedicle_width / math.cos(self.angle), self.depth + 4e-3, _RAISED_M])
 
     @property
-    def axis(self) -> NDArray[np.float64]:
+    def axis(self) -> Array:
         """Unit vector along the left pedicle, backward and outward."""
         return np.array([math.sin(self.angle), math.cos(self.angle), 0.0])
 
     @property
-    def entry(self) -> NDArray[np.float64]:
+    def entry(self) -> Array:
         """Point of the axis behind the pedicle that is about the entry [m]."""
         return self.isthmus + (_ENTRY_M - 4e-3) * self.axis
 
@@ -176,7 +176,7 @@ def _bone(sizes: _Sizes) -> Shape:
     return Shape(bone.distance, tuple(-r for r in reach), reach)
 
 
-def _body(sizes: _Sizes, p: NDArray[np.floating]) -> NDArray[np.floating]:
+def _body(sizes: _Sizes, p: Floats) -> Floats:
     """An elliptic column with a waist, [m]."""
     share = np.clip(p[:, 2] / sizes.height, -1.0, 1.0)
     narrowed = 1.0 - _WAIST * (1.0 - share**2)
@@ -184,7 +184,7 @@ def _body(sizes: _Sizes, p: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.asarray(0.9 * np.maximum(column, np.abs(p[:, 2]) - sizes.height))  # the waist's slope is 0.2 at most
 
 
-def _pedicles(sizes: _Sizes, p: NDArray[np.floating]) -> NDArray[np.floating]:
+def _pedicles(sizes: _Sizes, p: Floats) -> Floats:
     """Elliptic columns along both axes from within the body to the entry, [m]."""
     centre, axis = sizes.isthmus.astype(p.dtype), sizes.axis.astype(p.dtype)
     x, y, z = np.abs(p[:, 0]) - centre[0], p[:, 1] - centre[1], p[:, 2] - centre[2]
@@ -194,7 +194,7 @@ def _pedicles(sizes: _Sizes, p: NDArray[np.floating]) -> NDArray[np.floating]:
     return np.asarray(np.maximum(column, ends))
 
 
-def _arch(sizes: _Sizes, p: NDArray[np.floating]) -> NDArray[np.floating]:
+def _arch(sizes: _Sizes, p: Floats) -> Floats:
     """Lamina: a wall around the canal, behind the middle of the pedicles, [m]."""
     y = p[:, 1] - sizes.canal_y
     outer = _ellipse(p[:, 0], y, sizes.canal_width + _LAMINA_M, sizes.canal_depth + _LAMINA_M)
@@ -211,9 +211,7 @@ def _canal(sizes: _Sizes) -> Shape:
     )
 
 
-def _ellipse(
-    x: NDArray[np.floating], y: NDArray[np.floating], a: float | NDArray[np.floating], b: float | NDArray[np.floating]
-) -> NDArray[np.floating]:
+def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floats:
     """Signed distance from an ellipse of half axes a and b [m]: the nearest point by three steps, to 1e-5 of its size.
 
     Each step takes the ellipse for its circle of curvature at the last point (A. Nash, "Computing the distance between
@@ -233,12 +231,10 @@ def _ellipse(
     return np.asarray(np.where((px / a) ** 2 + (py / b) ** 2 < 1.0, -away, away).astype(x.dtype))
 
 
-def _layers(sizes: _Sizes, cortex: float, turn: NDArray[np.float64], origin: NDArray[np.float64]) -> Classify:
+def _layers(sizes: _Sizes, cortex: float, turn: Array, origin: Array) -> Classify:
     """Classify by depth: thin shell and endplates around the body, a thicker cortex around the rest."""
 
-    def classify(
-        points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below the surface [m]."""
         p = points @ turn.T.astype(points.dtype) + origin.astype(points.dtype)
         behind = np.clip((p[:, 1] - sizes.depth + 4e-3) / 4e-3, 0.0, 1.0)
@@ -252,7 +248,7 @@ def _layers(sizes: _Sizes, cortex: float, turn: NDArray[np.float64], origin: NDA
     return classify
 
 
-def _placed(shape: Shape, turn: NDArray[np.float64], origin: NDArray[np.float64]) -> Shape:
+def _placed(shape: Shape, turn: Array, origin: Array) -> Shape:
     """A shape of the body's frame in the site frame, whose axes are the columns of `turn`."""
     corners = np.array(np.meshgrid(*np.clip(np.array([shape.lower_m, shape.upper_m]), -_REACH_M, _REACH_M).T))
     seen = (corners.reshape(3, -1).T - origin) @ turn

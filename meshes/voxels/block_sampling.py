@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes, Flags, Floats, Ints, Singles
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.shapes.sdf import Shape
@@ -35,10 +36,10 @@ _LOCAL = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), axis=-1).
 class VoxelArrays:
     """The arrays of a `VoxelVolume` while they are filled, over a blocked grid, all of its shape."""
 
-    fraction: NDArray[np.uint8]
-    layer: NDArray[np.uint8]
+    fraction: Bytes
+    layer: Bytes
     density: NDArray[np.uint16]
-    surface: NDArray[np.uint8]
+    surface: Bytes
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> VoxelArrays:
@@ -54,12 +55,12 @@ class VoxelArrays:
 
 def voxel_fraction(
     shape: Shape,
-    centres: NDArray[np.float32],
-    distance: NDArray[np.float32],
+    centres: Singles,
+    distance: Singles,
     spacing_m: float,
     *,
     split_creases: bool = True,
-) -> NDArray[np.float32]:
+) -> Singles:
     """Part of each voxel inside the shape, the surface taken as a plane within the voxel.
 
     Where the distance bends sharply within a voxel (an edge or corner), the voxel is split into 4 x 4 x 4 and each part
@@ -98,7 +99,7 @@ def voxel_fraction(
     return fraction
 
 
-def _split_fraction(shape: Shape, centres: NDArray[np.float32], spacing_m: float) -> NDArray[np.float32]:
+def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles:
     """Fraction of voxels from 4 x 4 x 4 parts each, shape (n,)."""
     offsets = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5).astype(np.float32) * np.float32(spacing_m)
     local = np.stack(np.meshgrid(offsets, offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -136,7 +137,7 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
             block[where] = values.reshape(-1, BLOCK, BLOCK, BLOCK)
 
 
-def shape_fraction(shape: Shape, grid: Grid) -> NDArray[np.float32]:
+def shape_fraction(shape: Shape, grid: Grid) -> Singles:
     """Part of each voxel of the blocked `grid` inside the shape, 0 to 1, float32, shape of the grid."""
     result = np.zeros(grid.shape, dtype=np.float32)
     firsts = grid.block_firsts()
@@ -151,9 +152,7 @@ def shape_fraction(shape: Shape, grid: Grid) -> NDArray[np.float32]:
     return result
 
 
-def _uniform_blocks(
-    anatomy: Anatomy, grid: Grid
-) -> tuple[NDArray[np.bool_], tuple[NDArray[np.uint8], NDArray[np.floating]]]:
+def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, Floats]]:
     """Blocks with one layer at all corners of their own and of their neighbours; layer and corner densities.
 
     Returns
@@ -174,13 +173,13 @@ def _uniform_blocks(
     return same.ravel(), (layer[core].ravel(), density[1:-1, 1:-1, 1:-1])
 
 
-def _over_windows(combine: np.ufunc, values: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
     """Combine each window of 4 x 4 x 4 lattice points, the corners of a block and of its neighbours."""
     windows = np.lib.stride_tricks.sliding_window_view(values, (4, 4, 4))
     return np.asarray(combine.reduce(windows, axis=(3, 4, 5)), dtype=np.uint8)
 
 
-def _interpolated(corners: NDArray[np.floating], grid: Grid, chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
     """Trilinear interpolation to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
     bx, by, bz = np.unravel_index(np.flatnonzero(chosen), [n // BLOCK for n in grid.shape])
     values = np.empty((len(bx), 2, 2, 2), dtype=np.float32)
@@ -194,7 +193,7 @@ def _interpolated(corners: NDArray[np.floating], grid: Grid, chosen: NDArray[np.
     return values
 
 
-def _centres(index: NDArray[np.int64], spacing_m: float, shift: float) -> NDArray[np.float32]:
+def _centres(index: Ints, spacing_m: float, shift: float) -> Singles:
     """Coordinates [m] of the voxel numbers shifted by `shift` spacings, float32, shape (n, 3), stored by columns."""
     return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
 
@@ -205,7 +204,7 @@ def _by_blocks(array: NDArray[np.generic]) -> NDArray[np.generic]:
     return array.reshape(nx, BLOCK, ny, BLOCK, nz, BLOCK).transpose(0, 2, 4, 1, 3, 5)
 
 
-def _index(flags: NDArray[np.bool_], blocks: NDArray[np.generic]) -> tuple[NDArray[np.intp], ...]:
+def _index(flags: Flags, blocks: NDArray[np.generic]) -> tuple[NDArray[np.intp], ...]:
     return np.unravel_index(np.flatnonzero(flags), blocks.shape[:3])
 
 

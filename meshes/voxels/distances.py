@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.voxels.layer_changes import boundary_of_layers
 from meshes.voxels.volume import VoxelVolume
@@ -32,14 +32,14 @@ _BISECTIONS = 14
 _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for k in o) <= 5]) - 2
 
 
-def surface_steps(distance: NDArray[np.floating]) -> NDArray[np.uint8]:
+def surface_steps(distance: Floats) -> Bytes:
     """Stored surface distance of signed distances [voxel], negative inside."""
     return np.clip(np.rint(SURFACE_ZERO + SURFACE_STEPS * distance), INSIDE, OUTSIDE).astype(np.uint8)
 
 
 def near_the_surface(
     volume: VoxelVolume,
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint16], NDArray[np.uint8]]:
+) -> tuple[Bytes, Bytes, NDArray[np.uint16], Bytes]:
     """Surface distance, layer, density and boundary distance of a volume, each of its shape.
 
     Layer and density go on beyond the surface, as far as its distance is known: a point between the last voxel centre
@@ -53,8 +53,8 @@ def near_the_surface(
 
 
 def carried_beyond(
-    fraction: NDArray[np.uint8], surface: NDArray[np.uint8], layer: NDArray[np.uint8], density: NDArray[np.uint16]
-) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_]]:
+    fraction: Bytes, surface: Bytes, layer: Bytes, density: NDArray[np.uint16]
+) -> tuple[Bytes, NDArray[np.uint16], Flags]:
     """Layer and density with those of the outermost voxels carried on beyond the surface, and where they are known."""
     layer, density, known = layer.copy(), density.copy(), fraction > 0
     for _ in range(2):
@@ -68,7 +68,7 @@ def carried_beyond(
     return layer, density, known
 
 
-def surface_of_fractions(fraction: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def surface_of_fractions(fraction: Bytes) -> Bytes:
     """Stored surface distance of voxels of which only the filled fraction is known, uint8, shape (nx, ny, nz).
 
     In each voxel that the surface crosses, or beside which it passes, the plane that leaves the fraction behind it, its
@@ -104,7 +104,7 @@ def surface_of_fractions(fraction: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(result[3:-3, 3:-3, 3:-3])
 
 
-def _plane_distance(share: NDArray[np.floating], normal: NDArray[np.floating]) -> Array:
+def _plane_distance(share: Floats, normal: Floats) -> Array:
     """Signed distance of unit cubes' centres from the plane with a normal that leaves a share of them behind it."""
     half = 0.5 * np.abs(normal).sum(axis=1)
     low, high = -half, half.copy()
@@ -115,7 +115,7 @@ def _plane_distance(share: NDArray[np.floating], normal: NDArray[np.floating]) -
     return np.asarray(0.5 * (low + high))
 
 
-def _outward(fraction: NDArray[np.uint8], at: Ints) -> Array:
+def _outward(fraction: Bytes, at: Ints) -> Array:
     """Unit vector down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3); z where there is none."""
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:
@@ -126,7 +126,7 @@ def _outward(fraction: NDArray[np.uint8], at: Ints) -> Array:
     return slope / np.linalg.norm(slope, axis=1)[:, None]
 
 
-def _beside(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _beside(one: Flags, other: Flags) -> Flags:
     """Voxels of either kind that share a face with one of the other kind."""
     met = np.zeros(one.shape, dtype=bool)
     for axis in range(3):
@@ -137,7 +137,7 @@ def _beside(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> NDArray[np.bool
     return met
 
 
-def _grown(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _grown(flags: Flags) -> Flags:
     """Flagged voxels and all that touch them."""
     grown = flags.copy()
     for axis in range(3):

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError, require_positive, require_vector
 from meshes.base.placement import Placement
 
@@ -46,15 +47,15 @@ class VoxelVolume:
         If arrays differ in shape or type, are not C-contiguous, or a layer has no name.
     """
 
-    origin_m: NDArray[np.float64]
+    origin_m: Array
     spacing_m: float
-    fraction: NDArray[np.uint8]
-    layer: NDArray[np.uint8]
+    fraction: Bytes
+    layer: Bytes
     density_kg_m3: NDArray[np.uint16]
     layer_names: tuple[str, ...]
     placement: Placement | None = None
-    surface_distance: NDArray[np.uint8] | None = None
-    layer_distance: NDArray[np.uint8] | None = None
+    surface_distance: Bytes | None = None
+    layer_distance: Bytes | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_m", require_vector("origin_m", self.origin_m))
@@ -79,7 +80,7 @@ class VoxelVolume:
         return self.spacing_m**3
 
     @property
-    def bounds_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def bounds_m(self) -> tuple[Array, Array]:
         """Lowest and highest corner of the block [m], each shape (3,)."""
         return self.origin_m, self.origin_m + self.spacing_m * np.array(self.shape)
 
@@ -96,7 +97,7 @@ class VoxelVolume:
         inside = True if layer is None else self.layer == self.layer_names.index(layer)
         return float(np.sum(self.fraction, where=inside, dtype=np.int64)) / FULL * self.voxel_volume_m3
 
-    def centres_m(self, axis: int) -> NDArray[np.float64]:
+    def centres_m(self, axis: int) -> Array:
         """Coordinates [m] of the voxel centres along one axis, shape (n_axis,)."""
         return self.origin_m[axis] + self.spacing_m * (np.arange(self.shape[axis]) + 0.5)
 

@@ -5,9 +5,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Singles
 from meshes.base.errors import InputError, require_positive
 from meshes.shapes.anatomy import Anatomy, GridSampler
 from meshes.shapes.sdf import Shape
@@ -101,11 +100,11 @@ def voxelise(
     return VoxelVolume(grid.origin_m, spacing, fraction, layer, density, names, placement, surface, boundary)
 
 
-def _layer_at(anatomy: Anatomy, grid: Grid, depth: NDArray[np.float32]) -> LayerAt:
+def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
     """The anatomy's layer at points in voxels of the grid, the depth interpolated where the anatomy samples it."""
     first, spacing = np.array(grid.first, dtype=np.float32), np.float32(grid.spacing_m)
 
-    def layer_at(points: NDArray[np.float32]) -> NDArray[np.uint8]:
+    def layer_at(points: Singles) -> Bytes:
         """Layer, shape (n,), at points in voxels from the grid's first corner, shape (n, 3)."""
         at = np.asfortranarray((points + first) * spacing)
         if anatomy.sample is None:
@@ -146,7 +145,7 @@ def _corners(region_m: Region) -> tuple[Array, Array]:
     return corners[0], corners[1]
 
 
-def _fill_from_samples(anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays) -> NDArray[np.float32]:
+def _fill_from_samples(anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays) -> Singles:
     """Fill `out` from an anatomy that gives fraction and depth for a whole grid; returns the depth [m]."""
     fraction, depth = sample(grid)
     out.fraction[...] = np.rint(fraction * FULL)

@@ -18,7 +18,7 @@ ON_SURFACE, INSIDE = 3000, 1000
 CONVEX = 1e-9
 
 
-def body_points(profile: Profile, *, spacing_m: float) -> NDArray[np.float64]:
+def body_points(profile: Profile, *, spacing_m: float) -> Array:
     """Points of a body of revolution [m], shape (n, 3), origin at the tip, for pictures and bounding boxes.
 
     They cover what cuts and what does not, up to the profile's top, every ring at which the outline bends, and the
@@ -31,14 +31,14 @@ def body_points(profile: Profile, *, spacing_m: float) -> NDArray[np.float64]:
     return np.concatenate([*parts, _inside(profile, spacing)])
 
 
-def _ring(radius: float, height: float, count: int) -> NDArray[np.float64]:
+def _ring(radius: float, height: float, count: int) -> Array:
     """Points evenly on a circle around the axis."""
     turn = np.arange(count) * (2.0 * pi / count)
     circle = radius * np.column_stack([np.cos(turn), np.sin(turn)])
     return np.column_stack([circle, np.full(count, height)])
 
 
-def _inside(profile: Profile, spacing: float) -> NDArray[np.float64]:
+def _inside(profile: Profile, spacing: float) -> Array:
     """Points of a cubic lattice inside a profile, deeper than half their distance."""
     reach, (low, high) = profile.radius_m, profile.height_range_m
     pitch = max(2.0 * spacing, (pi * reach**2 * (high - low) / INSIDE) ** (1.0 / 3.0))

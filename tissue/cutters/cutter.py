@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels.revolution import EDGE_BEND
+from meshes.base.arrays import Array, Singles
 from meshes.base.kept import Kept
 from tissue.cutters.profile import Piece, Profile
 
@@ -41,26 +42,26 @@ class PointShell:
         Distances from the axis [m], shape (n,).
     """
 
-    points_m: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    areas_m2: NDArray[np.float64]
-    radii_m: NDArray[np.float64]
+    points_m: Array
+    normals: Array
+    areas_m2: Array
+    radii_m: Array
 
 
 @dataclass(frozen=True)
 class DistanceTable:
     """Signed distance over (radius, height) [voxel]; see :class:`kernels.revolution.Revolution`."""
 
-    distance: NDArray[np.float32]
-    slope: NDArray[np.float32]
-    bend: NDArray[np.float32]
+    distance: Singles
+    slope: Singles
+    bend: Singles
     height_min: float
     cells_per_voxel: float
     radius: float
     low: float
     high: float
 
-    def bend_at(self, radius: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float32]:
+    def bend_at(self, radius: Array, height: Array) -> Singles:
         """The bend at points given by radius and height above the tip [voxel], shape (n,)."""
         u, v = radius * self.cells_per_voxel, (height - self.height_min) * self.cells_per_voxel
         last = self.bend.shape[0] - 2, self.bend.shape[1] - 2
@@ -169,7 +170,7 @@ _shells: Kept[PointShell] = Kept(8)
 """By the profile and the spacing, of voxels or of elements."""
 
 
-def spiral(piece: Piece, *, spacing_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
     """Positions [m], normals and areas [m2] of elements of equal area over one piece."""
     count = max(ceil(piece.area_m2 / spacing_m**2), 16)
     share = np.linspace(0.0, 1.0, 4097)
@@ -188,7 +189,7 @@ def spiral(piece: Piece, *, spacing_m: float) -> tuple[NDArray[np.float64], NDAr
     return points, normals, areas
 
 
-def _patches(points: NDArray[np.float64], chosen: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def _patches(points: Array, chosen: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     """Indices of points in patches of `PATCH`, the last smaller, by halving along the longest side."""
     if len(chosen) <= PATCH:
         return [chosen]

@@ -10,7 +10,8 @@ from itertools import pairwise
 from math import cos, hypot, pi, sin, tan
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array, Flags
 
 __all__ = [
     "Arc",
@@ -25,7 +26,6 @@ __all__ = [
     "twist_drill",
 ]
 
-Array = NDArray[np.float64]
 SMOOTH = 0.999
 """Cosine of the angle between normals above which an outline counts as smooth."""
 AXIS_M = 1e-9
@@ -169,7 +169,7 @@ class Profile:
         return np.where(inside, -distances[pick], distances[pick]), curvature
 
 
-def _inside(outline: Array, points: Array) -> NDArray[np.bool_]:
+def _inside(outline: Array, points: Array) -> Flags:
     """Whether (radius, height) points lie inside a closed outline: crossing number along +radius."""
     inside = np.zeros(len(points), dtype=bool)
     for (r0, z0), (r1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):

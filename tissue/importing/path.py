@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.paths.depth import PathDepth, depth_along
 from meshes.paths.replay_table import ReplayTable, to_replay
@@ -38,8 +38,8 @@ class ImportedPath:
     """
 
     table: ReplayTable
-    points_mm: NDArray[np.float64]
-    depth_mm: NDArray[np.float64]
+    points_mm: Array
+    depth_mm: Array
     sentence: str
 
     def draw(self, surface: Surface, at: Placed, file: Path) -> list[str]:

@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.ct.labelled_bone import cropped
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
@@ -29,7 +29,7 @@ def draw_pictures(
     clear: Mapping[str, Surface],
     out: Path,
     *,
-    points_mm: NDArray[np.float64] | None = None,
+    points_mm: Array | None = None,
 ) -> list[str]:
     """Draw slices, histogram and the bone in 3D; returns why one could not be drawn, a sentence each."""
     found = bone.bone
@@ -70,7 +70,7 @@ def draw_pictures(
     return [] if problem is None else [f"bone.png was not drawn: {problem}"]
 
 
-def draw_tooth(image: Image, tooth: Labels, file: Path, *, centre_mm: NDArray[np.float64]) -> None:
+def draw_tooth(image: Image, tooth: Labels, file: Path, *, centre_mm: Array) -> None:
     """Draw slices of an image with the layers of a tooth, through a point [mm, LPS].
 
     Parameters

@@ -4,8 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from meshes.base.whole_file import whole_file
@@ -88,7 +88,7 @@ def _tooth(labels: Labels) -> Labels:
     return Labels(part_of(replace(labels.image, values=values), box_of(values > 0, MARGIN)), layers)
 
 
-def _site(tooth: Labels, wanted: bool) -> tuple[str, bool, NDArray[np.float64]]:
+def _site(tooth: Labels, wanted: bool) -> tuple[str, bool, Array]:
     """Where the tool comes in, a sentence; whether that is over a lesion; middle of the lesion or of the tooth [mm]."""
     from scipy.ndimage import label
 
