@@ -8,10 +8,9 @@ import trimesh
 from ct_ball import CENTRE_MM, RADIUS_MM, SHELL_MM, ball
 
 from meshes.base.errors import InputError
-from meshes.ct.cored_bone import cored_anatomy
+from meshes.ct.bone_inside import cored_anatomy, imaged_anatomy
 from meshes.ct.density import DensityLaw
-from meshes.ct.imaged_bone import imaged_anatomy
-from meshes.ct.labelled_bone import by_threshold, cropped
+from meshes.ct.extraction import by_threshold, cropped
 from meshes.images.frame import Image
 from meshes.surfaces.site import place_site
 from meshes.surfaces.surface import surface_from_triangles

@@ -5,7 +5,7 @@ import pytest
 from ct_ball import ball_mask
 
 from meshes.base.errors import InputError
-from meshes.ct.kept_label import kept_label
+from meshes.ct.extraction import kept_label
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
 from meshes.surfaces.surface import surface_from_triangles

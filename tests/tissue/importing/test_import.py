@@ -13,7 +13,7 @@ import tissue
 from meshes.base.errors import InputError
 from meshes.ct.labels import read_labels
 from meshes.images.reading import read_image
-from tissue.importing.scene_text import scene_name
+from tissue.importing.draft import scene_name
 from tissue.materials.cutting import cutting_coefficients
 
 TOP = tuple((CENTRE_MM + np.array([0.0, 0.0, RADIUS_MM])).tolist())

@@ -11,7 +11,7 @@ from image_writers import write_nrrd
 
 import tissue
 from meshes.base.errors import InputError
-from meshes.ct.label_check import bone_label_note, soft_label_note
+from meshes.ct.inspection import bone_label_note, soft_label_note
 from meshes.ct.labels import read_labels
 
 
