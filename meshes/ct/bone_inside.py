@@ -16,7 +16,7 @@ from meshes.surfaces.repair import Triangles
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.tooth.layer_contact import inside_surface
-from meshes.tooth.layered_solid import joined
+from meshes.tooth.layered_surfaces import joined
 from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 
 __all__ = ["CORTICAL_ABOVE_KG_M3", "IMAGED_LAYERS", "LAW", "cored_anatomy", "imaged_anatomy", "stated_law"]

@@ -120,7 +120,7 @@ def edited(**values):
         (
             lambda: edited(kind=np.float32, a=2.5),
             {},
-            "labels must be whole numbers, got 2.5 in test: use a label image",
+            "labels must be whole numbers from 0 to 255, got others from 0 to 3 in test",
         ),
         (lambda: image(np.zeros((9, 9, 9))), {}, "labels must mark a tooth, got nothing but 0 in test: check the file"),
         (
