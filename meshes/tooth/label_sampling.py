@@ -17,7 +17,7 @@ from math import ceil
 
 import numpy as np
 
-from meshes.base.arrays import Array, Bytes, Floats, Singles
+from meshes.base.arrays import Array, Bytes, Floats, Singles, lattice
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.images.label_spread import spread_labels
@@ -257,7 +257,7 @@ class LabelShares:
         from scipy.ndimage import binary_dilation
 
         axes = [(np.arange(n) + f + 0.5) * grid.spacing_m for f, n in zip(grid.first, grid.shape, strict=True)]
-        centres = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        centres = lattice(*axes)
         share = self._solid_at(centres)
         result = (share > 0.5).astype(np.float32)
         side = result.reshape(grid.shape) > 0.5

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Bytes, Flags, Floats, Ints, Singles
+from meshes.base.arrays import Bytes, Flags, Floats, Ints, Singles, lattice
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.shapes.sdf import Shape
@@ -29,7 +29,7 @@ _WIDEST_INTERPOLATION_M = 1.0e-3
 _HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
 _SHARP_BEND = 0.1
 _PARTS = 4
-_LOCAL = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+_LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ def voxel_fraction(
     *,
     split_creases: bool = True,
 ) -> Singles:
-    """Part of each voxel inside the shape, the surface taken as a plane within the voxel.
+    """Compute the part of each voxel inside the shape, the surface being a plane within the voxel.
 
     Where the distance bends sharply within a voxel (an edge or corner), the voxel is split into 4 x 4 x 4 and each part
     taken as crossed by a plane of its own.
@@ -83,8 +83,11 @@ def voxel_fraction(
     crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * spacing_m)
     if len(crossed) == 0:
         return fraction
-    points, middle, step = centres[crossed], distance[crossed], np.float32(0.25 * spacing_m)
-    gradient, bend = np.empty((len(crossed), 3), dtype=np.float32), np.zeros(len(crossed), dtype=np.float32)
+    points = centres[crossed]
+    middle = distance[crossed]
+    step = np.float32(0.25 * spacing_m)
+    gradient = np.empty((len(crossed), 3), dtype=np.float32)
+    bend = np.zeros(len(crossed), dtype=np.float32)
     for axis in range(3):
         shift = step * np.eye(3, dtype=np.float32)[axis]
         forward, backward = (shape.distance(np.asfortranarray(points + sign * shift)) for sign in (1, -1))
@@ -100,9 +103,9 @@ def voxel_fraction(
 
 
 def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles:
-    """Fraction of voxels from 4 x 4 x 4 parts each, shape (n,)."""
+    """Compute the fraction of voxels from 4 x 4 x 4 parts each, shape (n,)."""
     offsets = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5).astype(np.float32) * np.float32(spacing_m)
-    local = np.stack(np.meshgrid(offsets, offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 3)
+    local = lattice(offsets, offsets, offsets)
     points = np.asfortranarray((centres[:, None, :] + local).reshape(-1, 3))
     parts = voxel_fraction(shape, points, shape.distance(points), spacing_m / _PARTS, split_creases=False)
     return parts.reshape(len(centres), -1).mean(axis=1)
@@ -138,7 +141,7 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
 
 
 def shape_fraction(shape: Shape, grid: Grid) -> Singles:
-    """Part of each voxel of the blocked `grid` inside the shape, 0 to 1, float32, shape of the grid."""
+    """Compute the part of each voxel of the blocked `grid` inside the shape, 0 to 1, float32, shape of the grid."""
     result = np.zeros(grid.shape, dtype=np.float32)
     firsts = grid.block_firsts()
     distance = shape.distance(_centres(firsts, grid.spacing_m, 0.5 * BLOCK))
@@ -153,7 +156,7 @@ def shape_fraction(shape: Shape, grid: Grid) -> Singles:
 
 
 def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, Floats]]:
-    """Blocks with one layer at all corners of their own and of their neighbours; layer and corner densities.
+    """Find blocks with one layer at all corners of their own and of their neighbours.
 
     Returns
     -------
@@ -163,8 +166,7 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, F
     counts = [n // BLOCK for n in grid.shape]
     axes = [np.arange(f - BLOCK, e + BLOCK + 1, BLOCK) for f, e in zip(grid.first, grid.last, strict=True)]
     size = [len(axis) for axis in axes]
-    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = _centres(lattice, grid.spacing_m, 0.0)
+    points = _centres(lattice(*axes), grid.spacing_m, 0.0)
     layer, density = anatomy.classify(points, -anatomy.shape.distance(points))
     layer, density = layer.reshape(size), density.reshape(size)
     core = tuple(slice(1, 1 + n) for n in counts)

@@ -26,21 +26,23 @@ __all__ = [
 
 SURFACE_STEPS = 63
 """Steps a voxel; they reach two voxels."""
-SURFACE_ZERO, INSIDE, OUTSIDE = 128, 2, 254
+SURFACE_ZERO = 128
+INSIDE = 2
+OUTSIDE = 254
 """Stored surface distance on the surface itself, and two voxels or more inside and outside it."""
 _BISECTIONS = 14
 _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for k in o) <= 5]) - 2
 
 
 def surface_steps(distance: Floats) -> Bytes:
-    """Stored surface distance of signed distances [voxel], negative inside."""
+    """Convert signed distances [voxel], negative inside, to stored surface distances."""
     return np.clip(np.rint(SURFACE_ZERO + SURFACE_STEPS * distance), INSIDE, OUTSIDE).astype(np.uint8)
 
 
 def near_the_surface(
     volume: VoxelVolume,
 ) -> tuple[Bytes, Bytes, NDArray[np.uint16], Bytes]:
-    """Surface distance, layer, density and boundary distance of a volume, each of its shape.
+    """Return surface distance, layer, density and boundary distance of a volume, each of its shape.
 
     Layer and density go on beyond the surface, as far as its distance is known: a point between the last voxel centre
     in the bone and the first one outside lies in a layer too.
@@ -55,21 +57,24 @@ def near_the_surface(
 def carried_beyond(
     fraction: Bytes, surface: Bytes, layer: Bytes, density: NDArray[np.uint16]
 ) -> tuple[Bytes, NDArray[np.uint16], Flags]:
-    """Layer and density with those of the outermost voxels carried on beyond the surface, and where they are known."""
-    layer, density, known = layer.copy(), density.copy(), fraction > 0
+    """Carry layer and density of the outermost voxels on beyond the surface; return also where they are known."""
+    layer = layer.copy()
+    density = density.copy()
+    known = fraction > 0
     for _ in range(2):
         wanted = (surface < OUTSIDE) & ~known
         for axis in range(3):
             for low, high in (_halves(axis), _halves(axis)[::-1]):
                 taken = wanted[low] & known[high]
-                layer[low][taken], density[low][taken] = layer[high][taken], density[high][taken]
+                layer[low][taken] = layer[high][taken]
+                density[low][taken] = density[high][taken]
                 known[low] |= taken
                 wanted[low] &= ~taken
     return layer, density, known
 
 
 def surface_of_fractions(fraction: Bytes) -> Bytes:
-    """Stored surface distance of voxels of which only the filled fraction is known, uint8, shape (nx, ny, nz).
+    """Compute the stored surface distance of voxels from their filled fractions, uint8, shape (nx, ny, nz).
 
     In each voxel that the surface crosses, or beside which it passes, the plane that leaves the fraction behind it, its
     direction the gradient of the fractions; near those, the mean over their planes. Beyond the array there is no bone.
@@ -105,7 +110,7 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
 
 
 def _plane_distance(share: Floats, normal: Floats) -> Array:
-    """Signed distance of unit cubes' centres from the plane with a normal that leaves a share of them behind it."""
+    """Compute the signed distance of unit cubes' centres from the plane that leaves a share of them behind it."""
     half = 0.5 * np.abs(normal).sum(axis=1)
     low, high = -half, half.copy()
     for _ in range(_BISECTIONS):
@@ -116,7 +121,7 @@ def _plane_distance(share: Floats, normal: Floats) -> Array:
 
 
 def _outward(fraction: Bytes, at: Ints) -> Array:
-    """Unit vector down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3); z where there is none."""
+    """Return unit vectors down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3); z where it is zero."""
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:
         if offset.any():
@@ -127,7 +132,7 @@ def _outward(fraction: Bytes, at: Ints) -> Array:
 
 
 def _beside(one: Flags, other: Flags) -> Flags:
-    """Voxels of either kind that share a face with one of the other kind."""
+    """Flag voxels of either kind that share a face with one of the other kind."""
     met = np.zeros(one.shape, dtype=bool)
     for axis in range(3):
         a, b = _halves(axis)
@@ -138,7 +143,7 @@ def _beside(one: Flags, other: Flags) -> Flags:
 
 
 def _grown(flags: Flags) -> Flags:
-    """Flagged voxels and all that touch them."""
+    """Flag all voxels that touch flagged ones, too."""
     grown = flags.copy()
     for axis in range(3):
         a, b = _halves(axis)
@@ -149,7 +154,7 @@ def _grown(flags: Flags) -> Flags:
 
 
 def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """All but the last and all but the first along an axis."""
+    """Return slices of all but the last and all but the first along an axis."""
     low, high = ([slice(None)] * 3 for _ in range(2))
     low[axis], high[axis] = slice(0, -1), slice(1, None)
     return tuple(low), tuple(high)

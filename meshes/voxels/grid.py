@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Ints, lattice
 
 __all__ = ["BLOCK", "Grid"]
 
@@ -56,4 +56,5 @@ class Grid:
     def block_firsts(self) -> Ints:
         """Number of the lowest voxel of each block of a blocked grid, shape (n, 3), in C order of the blocks."""
         axes = [np.arange(f, e, BLOCK) for f, e in zip(self.first, self.last, strict=True)]
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        firsts: Ints = lattice(*axes)
+        return firsts

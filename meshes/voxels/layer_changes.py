@@ -19,10 +19,18 @@ BOUNDARY_STEPS = 127
 """Steps a voxel; they reach two voxels."""
 FAR = 254
 """Stored distance where no layer changes within two voxels, or in no cell that the voxel is a corner of."""
-_UNKNOWN, _PADDED, _AT_ONCE = 255, 6, 1 << 18
-_STRIDE, _HALVINGS = 0.5, 5
-_WIDE, _NARROW = 6.0, 3.0
-_DISAGREES, _REACH = 0.25, 2
+_UNKNOWN = 255
+_PADDED = 6
+_AT_ONCE = 1 << 18
+_STRIDE = 0.5
+_HALVINGS = 5
+"""Steps [voxel] that bracket a change along a direction, and how often the bracket is halved."""
+_WIDE = 6.0
+_NARROW = 3.0
+"""Radii of the balls [voxel] whose shares give the distance."""
+_DISAGREES = 0.25
+_REACH = 2
+"""A label this far [voxel] from its place makes the narrow ball count in this reach [voxel]."""
 
 LayerAt = Callable[[Singles], Bytes]
 """Points [voxel], shape (n, 3), to their layers, shape (n,)."""

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from meshes.base.arrays import Array, Bytes, Singles
+from meshes.base.arrays import Array, Bytes, Singles, lattice
 from meshes.base.errors import InputError, require_positive
 from meshes.shapes.anatomy import Anatomy, GridSampler
 from meshes.shapes.sdf import Shape
@@ -40,7 +40,7 @@ def voxelise(
     minus: Shape | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Voxels of an anatomy, in its site frame.
+    """Convert an anatomy to voxels, in its site frame.
 
     Grid lines lie on whole multiples of the spacing, so a voxel has the same content whatever region is asked for. A
     voxel that the surface crosses holds the part of its cube behind the surface's tangent plane (an error of second
@@ -89,15 +89,26 @@ def voxelise(
             if progress is not None:
                 progress(done / len(starts))
     kept = tuple(slice(f - b, f - b + n) for f, b, n in zip(grid.first, blocked.first, grid.shape, strict=True))
-    fraction, layer = np.ascontiguousarray(arrays.fraction[kept]), np.ascontiguousarray(arrays.layer[kept])
-    density, surface = np.ascontiguousarray(arrays.density[kept]), np.ascontiguousarray(arrays.surface[kept])
+    fraction = np.ascontiguousarray(arrays.fraction[kept])
+    layer = np.ascontiguousarray(arrays.layer[kept])
+    density = np.ascontiguousarray(arrays.density[kept])
+    surface = np.ascontiguousarray(arrays.surface[kept])
     known = surface < OUTSIDE
     if anatomy.sample is not None:
         surface = surface_of_fractions(fraction)
         layer, density, known = carried_beyond(fraction, surface, layer, density)
     boundary = layer_boundary(layer, known, _layer_at(anatomy, grid, depth[kept]))
-    names, placement = anatomy.layer_names, anatomy.placement
-    return VoxelVolume(grid.origin_m, spacing, fraction, layer, density, names, placement, surface, boundary)
+    return VoxelVolume(
+        grid.origin_m,
+        spacing,
+        fraction,
+        layer,
+        density,
+        anatomy.layer_names,
+        anatomy.placement,
+        surface,
+        boundary,
+    )
 
 
 def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
@@ -120,11 +131,10 @@ def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
 def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
     """Grid over the region, or over the anatomy's bounding box and beyond, on whole multiples of the spacing."""
     around = AROUND_VOXELS * spacing
-    lower, upper = (
-        _corners(region_m)
-        if region_m is not None
-        else (np.array(anatomy.shape.lower_m) - around, np.array(anatomy.shape.upper_m) + around)
-    )
+    lower = np.array(anatomy.shape.lower_m) - around
+    upper = np.array(anatomy.shape.upper_m) + around
+    if region_m is not None:
+        lower, upper = _corners(region_m)
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
         raise InputError(
             "region_m must be given for an anatomy without end, got None: use the box that the tool reaches"
@@ -171,7 +181,7 @@ def _take_out(minus: Shape, grid: Grid, out: VoxelArrays) -> None:
     size = (high - low).tolist()
     taken = shape_fraction(minus, Grid(grid.spacing_m, (first[0], first[1], first[2]), (size[0], size[1], size[2])))
     out.fraction[part] = np.rint(out.fraction[part] * (1.0 - taken))
-    centres = np.stack(np.meshgrid(*[np.arange(n) + f + 0.5 for n, f in zip(size, first, strict=True)], indexing="ij"))
-    points = (centres.reshape(3, -1).T * grid.spacing_m).astype(np.float32)
+    centres = lattice(*[np.arange(n) + f + 0.5 for n, f in zip(size, first, strict=True)])
+    points = np.asfortranarray(centres * grid.spacing_m, dtype=np.float32)
     hole = surface_steps(-minus.distance(points).reshape(size) / np.float32(grid.spacing_m))
     out.surface[part] = np.maximum(out.surface[part], hole)

@@ -7,7 +7,7 @@ from math import ceil, cos, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, lattice
 from tissue.cutters.cutter import spiral
 from tissue.cutters.profile import Arc, Line, Piece, Profile
 
@@ -43,7 +43,7 @@ def _inside(profile: Profile, spacing: float) -> Array:
     reach, (low, high) = profile.radius_m, profile.height_range_m
     pitch = max(2.0 * spacing, (pi * reach**2 * (high - low) / INSIDE) ** (1.0 / 3.0))
     across = pitch * np.arange(-ceil(reach / pitch), ceil(reach / pitch) + 1)
-    grid = np.stack(np.meshgrid(across, across, np.arange(low, high, pitch), indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = lattice(across, across, np.arange(low, high, pitch))
     half = np.column_stack([np.hypot(grid[:, 0], grid[:, 1]), grid[:, 2]])
     return np.asarray(grid[profile.distance(half)[0] < -0.5 * pitch])
 

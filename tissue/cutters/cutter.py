@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels.revolution import EDGE_BEND
-from meshes.base.arrays import Array, Singles
+from meshes.base.arrays import Array, Singles, lattice
 from meshes.base.kept import Kept
 from tissue.cutters.profile import Piece, Profile
 
@@ -143,7 +143,7 @@ class Cutter:
         height_min = low - MARGIN_VOXELS
         r = np.arange(ceil((reach + MARGIN_VOXELS) * cells) + 2) / cells
         z = np.arange(ceil((high - low + 2.0 * MARGIN_VOXELS) * cells) + 2) / cells + height_min
-        grid = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
+        grid = lattice(r, z)
         distance, meridional = self.profile.distance(grid * spacing_m)
         distance = (distance / spacing_m).reshape(len(r), len(z))
         slope = np.stack(np.gradient(distance, 1.0 / cells), axis=-1)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, lattice
 from meshes.ct.density import DensityLaw
 from meshes.ct.extraction import BoneOfImage
 from meshes.ct.inspection import Histogram
@@ -94,7 +94,7 @@ class BonePictures:
 def _depth(surface: Surface, image: Image) -> Image:
     """Return the depth of an image's voxels within a surface [m], negative outside."""
     axes = [o + s * np.arange(n) for o, s, n in zip(image.origin_mm, image.spacing_mm, image.values.shape, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = lattice(*axes)
     low = 1e3 * surface.vertices_m.min(axis=0)
     high = 1e3 * surface.vertices_m.max(axis=0)
     around = 2.0 * max(image.spacing_mm)

@@ -14,7 +14,7 @@ from meshes.base.errors import InputError
 from meshes.ct.labels import read_labels
 from meshes.images.reading import read_image
 from tissue.importing.draft import scene_name
-from tissue.materials.cutting import cutting_coefficients
+from tissue.materials.constants import cutting_coefficients
 
 TOP = tuple((CENTRE_MM + np.array([0.0, 0.0, RADIUS_MM])).tolist())
 LINE = "line:1.0,500.0"
