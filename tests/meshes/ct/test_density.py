@@ -9,7 +9,7 @@ from meshes.base.errors import InputError
 from meshes.ct.attenuation import hounsfield, linear_attenuation, mass_attenuation
 from meshes.ct.calibration import Region, fit_regions
 from meshes.ct.density import ASH_SHARE, CT_DENSITY, DensityLaw
-from meshes.ct.laws import DENSITY_LAWS, density_law, phantom_law, rods_law
+from meshes.ct.laws import DENSITY_LAWS, density_law, rods_law
 from meshes.images.frame import Image
 
 ANY = Image(np.zeros((4, 4, 4), np.int16), (1.0, 1.0, 1.0), "any.nii.gz", ())
@@ -150,12 +150,6 @@ def test_rods_are_weighted_by_their_errors():
 def test_too_few_or_equal_rods_are_refused(rods):
     with pytest.raises(InputError, match="rods must"):
         rods_law(*rods, equivalent="HA")
-
-
-def test_a_phantom_keeps_the_uncertainty_of_its_line():
-    law = phantom_law(0.8, 0.0, equivalent="ash", covariance=(1e-4, 0.0, 25.0), residual_sd_mg_cm3=3.0)
-    assert law.covariance == pytest.approx((1e-4 / ASH_SHARE**2, 0.0, 25.0 / ASH_SHARE**2))
-    assert law.residual_sd_kg_m3 == pytest.approx(3.0 / ASH_SHARE)
 
 
 @pytest.mark.parametrize("energy", [50.0, 60.0, 70.0, 85.0])

@@ -74,14 +74,6 @@ def test_marrow_is_part_of_the_bone_even_where_the_image_cuts_it():
     assert len(bone.cuts) == 1 and "cut off" in " ".join(bone.notes)
 
 
-def test_another_bone_nearby_is_left_out_and_named():
-    image = ball(half_mm=30.0)
-    x = image.origin_mm[0] + image.spacing_mm[0] * np.arange(image.values.shape[0])
-    image.values[x > 20.0, 10:40, 10:40] = 900
-    bone = by_threshold(image, 475.0)
-    assert "next piece" in " ".join(bone.notes)
-
-
 def test_what_an_image_holds_is_found():
     found = inspect(ball(noise_hu=20.0))
     assert found.is_hounsfield and found.noise == pytest.approx(20.0, rel=0.05) and found.metal_mm is None

@@ -40,13 +40,6 @@ def test_a_thread_of_one_voxel_that_hangs_on_a_thick_piece_stays():
     assert distance_mm(mask, centres[centres[:, 0] < -9.0]).max() < 0.0
 
 
-def test_one_voxel_is_a_piece():
-    mask = np.zeros(EMPTY.values.shape, dtype=bool)
-    mask[60, 24, 20] = mask[5, 5, 5] = True
-    at = np.array([60, 24, 20]) * SPACING_MM + ORIGIN_MM
-    assert distance_mm(mask, [at])[0] < 0.0 < distance_mm(mask, [at + 0.8])[0]
-
-
 def test_what_the_edge_cuts_off_is_reported():
     mask = ball_mask(EMPTY, centre_mm=np.array([-29.0, 0.0, 0.0]), radius_mm=5.0)
     assert "ends at 1 place at the edge" in kept_label(EMPTY, mask, "canal")[1][0]
