@@ -68,7 +68,8 @@ def density_law(text: str, image: Image) -> DensityLaw:
     parts = [part.strip() for part in numbers.split(",")]
     if kind.lower() == "line" and colon and len(parts) in (2, 3):
         try:
-            slope, offset = float(parts[0]), float(parts[1])
+            slope = float(parts[0])
+            offset = float(parts[1])
         except ValueError:
             slope = math.nan
         if math.isfinite(slope):

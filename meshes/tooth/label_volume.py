@@ -155,7 +155,8 @@ class LabelledTooth:
         preference = [TOOTH_LAYERS.index(name) for name in PRIORITY]
         shares = LabelShares.of(labels, preference, voxel_m=self.placed.spacing, start=start, turn=turn)
         box = tuple(corners[0].tolist()), tuple(corners[1].tolist())
-        shape, placement = Shape(shares.distance, *box), self.placed.placement
+        shape = Shape(shares.distance, *box)
+        placement = self.placed.placement
         return Anatomy("tooth", shape, TOOTH_LAYERS, shares.classify, sample=shares.sample, placement=placement)
 
 

@@ -138,7 +138,8 @@ class LayeredSolid:
             left = left[gap == 0]
         away = np.full(len(left), np.inf) if self.socket is None else self.socket(points[left], beyond=1.0)
         layer[left[away <= 0.0]] = BONE
-        left, away = left[away > 0.0], away[away > 0.0]
+        left = left[away > 0.0]
+        away = away[away > 0.0]
         distance, nearest = self.samples.query(points[left])
         layer[left] = np.where(away < distance, BONE, self.sample_layer[nearest])
         return layer, _DENSITY[layer]

@@ -167,7 +167,8 @@ def _require_fit(depth: float, roof: float, line: float) -> None:
 
 def _socket(crown: Crown, roots: tuple[Root, Root], margin: float) -> Shape:
     """Return the block of bone around the roots, its flat crest below the cervical line."""
-    crest, bottom = crown.cervix - _CREST_M, roots[0].top - roots[0].length - margin
+    crest = crown.cervix - _CREST_M
+    bottom = roots[0].top - roots[0].length - margin
     width = 2.0 * (max(root.reach_x for root in roots) + margin)
     length = 2.0 * (max(root.radius / root.flattening for root in roots) + margin)
     return box((width, length, crest - bottom), (0.0, 0.0, 0.5 * (crest + bottom)))

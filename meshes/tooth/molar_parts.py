@@ -24,16 +24,20 @@ _CUSPS = (
 )
 """Tip over half the crown's width and length, x mesial and y buccal, and height over the highest cusp's."""
 _TRUE_CUSPS = 5
-_TIP_RADIUS_M, _GROOVE_M, _EDGE_M = 0.5e-3, 0.35e-3, 1.0e-3
+_TIP_RADIUS_M = 0.5e-3
+_GROOVE_M = 0.35e-3
+_EDGE_M = 1.0e-3
 _CERVIX = (9.0 / 11.0, 9.0 / 10.5)
 _TABLE = (0.80, 0.78)
 _BULGE = (0.62, 0.45)
 _LINGUAL_LEAN_M = 0.35e-3
-_TRUNK_M, _TRUNK_TAPER = 3.2e-3, 22.0
+_TRUNK_M = 3.2e-3
+_TRUNK_TAPER = 22.0
 _TRUNK_BLEND_M = 1.6e-3
 _CERVICAL_CURVE_M = 0.9e-3
 _FULL_ENAMEL = 0.60
-_FOSSA_ENAMEL, _WALL_ENAMEL = 0.62, 0.62
+_FOSSA_ENAMEL = 0.62
+_WALL_ENAMEL = 0.62
 _STEEPEST = 1.85
 _CANAL_RISE_M = 0.8e-3
 
@@ -80,7 +84,8 @@ class Crown:
         """Height of the chewing surface [m]; each cusp is a cone with a round tip that falls to the fossa."""
         surface = np.full_like(x, -np.inf)
         for along, across, relative in _CUSPS:
-            px, py = along * self.half_width, across * self.half_length
+            px = along * self.half_width
+            py = across * self.half_length
             reach = float(np.hypot(np.hypot(px, py), _TIP_RADIUS_M)) - _TIP_RADIUS_M
             away = np.sqrt((x - px) ** 2 + (y - py) ** 2 + _TIP_RADIUS_M**2) - _TIP_RADIUS_M
             cone = (relative * self.cusp_height) * (1.0 - away / reach)
@@ -107,7 +112,8 @@ class Crown:
             size * self._bulge(height, k) * (1.0 - below) for k, size in enumerate((self.half_width, self.half_length))
         ]
         lean = _LINGUAL_LEAN_M * np.clip(height, 0.0, 1.0)
-        u, v = np.abs(p[:, 0]) / half[0], np.abs(p[:, 1] + lean) / half[1]
+        u = np.abs(p[:, 0]) / half[0]
+        v = np.abs(p[:, 1] + lean) / half[1]
         return (np.cbrt(u * u * u + v * v * v) - 1.0) * np.minimum(half[0], half[1])
 
     @staticmethod

@@ -117,9 +117,12 @@ def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
     """The volume with its cavity filled by pulp, and the voxels along the cavity's wall filled up as what they are."""
     from scipy.ndimage import binary_dilation
 
-    fraction, layer, density = volume.fraction.copy(), volume.layer.copy(), volume.density_kg_m3.copy()
+    fraction = volume.fraction.copy()
+    layer = volume.layer.copy()
+    density = volume.density_kg_m3.copy()
     fraction[binary_dilation(cavity) & (fraction > 0)] = FULL
-    fraction[cavity], layer[cavity] = FULL, PULP
+    fraction[cavity] = FULL
+    layer[cavity] = PULP
     density[cavity] = round(LAYER_DENSITY_KG_M3["pulp"])
     return replace(volume, fraction=fraction, layer=layer, density_kg_m3=density)
 

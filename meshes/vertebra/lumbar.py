@@ -205,9 +205,13 @@ def _body(sizes: _HalfSizes, p: Floats) -> Floats:
 
 def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
     """Compute the distance from elliptic columns along both axes, from within the body to the entry [m]."""
-    centre, axis = sizes.isthmus.astype(p.dtype), sizes.axis.astype(p.dtype)
-    x, y, z = np.abs(p[:, 0]) - centre[0], p[:, 1] - centre[1], p[:, 2] - centre[2]
-    along, across = x * axis[0] + y * axis[1], x * axis[1] - y * axis[0]
+    centre = sizes.isthmus.astype(p.dtype)
+    axis = sizes.axis.astype(p.dtype)
+    x = np.abs(p[:, 0]) - centre[0]
+    y = p[:, 1] - centre[1]
+    z = p[:, 2] - centre[2]
+    along = x * axis[0] + y * axis[1]
+    across = x * axis[1] - y * axis[0]
     column = _ellipse(across, z, sizes.pedicle_width, sizes.pedicle_height)
     ends = np.abs(along - 0.5 * (_ENTRY_M - 4e-3 - 14e-3)) - 0.5 * (_ENTRY_M - 4e-3 + 14e-3)
     return np.asarray(np.maximum(column, ends))
@@ -236,16 +240,19 @@ def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floa
     Each step takes the ellipse for its circle of curvature at the last point (A. Nash, "Computing the distance between
     a point and an ellipse"), from the direction of 45 degrees.
     """
-    px, py = np.abs(x), np.abs(y)
+    px = np.abs(x)
+    py = np.abs(y)
     tx = ty = np.full_like(px, math.sqrt(0.5))
     for _ in range(4):
-        ex, ey = (a * a - b * b) * tx**3 / a, (b * b - a * a) * ty**3 / b
+        ex = (a * a - b * b) * tx**3 / a
+        ey = (b * b - a * a) * ty**3 / b
         r = np.hypot(a * tx - ex, b * ty - ey)
         q = np.maximum(np.hypot(px - ex, py - ey), 1e-12)
         tx = np.clip(((px - ex) * r / q + ex) / a, 0.0, 1.0)
         ty = np.clip(((py - ey) * r / q + ey) / b, 0.0, 1.0)
         size = np.maximum(np.hypot(tx, ty), 1e-12)
-        tx, ty = tx / size, ty / size
+        tx = tx / size
+        ty = ty / size
     away = np.hypot(px - a * tx, py - b * ty)
     return np.asarray(np.where((px / a) ** 2 + (py / b) ** 2 < 1.0, -away, away).astype(x.dtype))
 

@@ -22,7 +22,7 @@ from meshes.voxels.distances import INSIDE, OUTSIDE, surface_steps
 from meshes.voxels.grid import BLOCK, Grid
 from meshes.voxels.volume import FULL
 
-__all__ = ["VoxelArrays", "fill_from_shape", "shape_fraction", "voxel_fraction"]
+__all__ = ["VoxelArrays", "centres_of", "fill_from_shape", "voxel_fraction"]
 
 _BLOCKS_AT_ONCE = 256
 _WIDEST_INTERPOLATION_M = 1.0e-3
@@ -114,7 +114,7 @@ def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles
 def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
     """Fill `out` over the blocked `grid` from the anatomy's signed distance."""
     firsts = grid.block_firsts()
-    distance = anatomy.shape.distance(_centres(firsts, grid.spacing_m, 0.5 * BLOCK))
+    distance = anatomy.shape.distance(centres_of(firsts, grid.spacing_m, 0.5 * BLOCK))
     reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
     solid = distance <= -reach
     mixed = ~solid & (distance < reach)
@@ -128,7 +128,7 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
         blocks[2][_index(plain, blocks[2])] = np.rint(_interpolated(corners[1], grid, plain))
         mixed |= solid & ~plain
     for chosen in _chunks(np.flatnonzero(mixed)):
-        points = _centres((firsts[chosen, None, :] + _LOCAL).reshape(-1, 3), grid.spacing_m, 0.5)
+        points = centres_of((firsts[chosen, None, :] + _LOCAL).reshape(-1, 3), grid.spacing_m, 0.5)
         depth = anatomy.shape.distance(points)
         fraction = voxel_fraction(anatomy.shape, points, depth, grid.spacing_m)
         layer, density = anatomy.classify(points, -depth)
@@ -138,21 +138,6 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
         filled = np.rint(fraction * FULL), layer * present, np.rint(density) * present, surface
         for block, values in zip(blocks, filled, strict=True):
             block[where] = values.reshape(-1, BLOCK, BLOCK, BLOCK)
-
-
-def shape_fraction(shape: Shape, grid: Grid) -> Singles:
-    """Compute the part of each voxel of the blocked `grid` inside the shape, 0 to 1, float32, shape of the grid."""
-    result = np.zeros(grid.shape, dtype=np.float32)
-    firsts = grid.block_firsts()
-    distance = shape.distance(_centres(firsts, grid.spacing_m, 0.5 * BLOCK))
-    reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
-    blocks = _by_blocks(result)
-    blocks[_index(distance <= -reach, blocks)] = 1.0
-    for chosen in _chunks(np.flatnonzero(np.abs(distance) < reach)):
-        points = _centres((firsts[chosen, None, :] + _LOCAL).reshape(-1, 3), grid.spacing_m, 0.5)
-        fraction = voxel_fraction(shape, points, shape.distance(points), grid.spacing_m)
-        blocks[np.unravel_index(chosen, blocks.shape[:3])] = fraction.reshape(-1, BLOCK, BLOCK, BLOCK)
-    return result
 
 
 def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, Floats]]:
@@ -166,9 +151,10 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, F
     counts = [n // BLOCK for n in grid.shape]
     axes = [np.arange(f - BLOCK, e + BLOCK + 1, BLOCK) for f, e in zip(grid.first, grid.last, strict=True)]
     size = [len(axis) for axis in axes]
-    points = _centres(lattice(*axes), grid.spacing_m, 0.0)
+    points = centres_of(lattice(*axes), grid.spacing_m, 0.0)
     layer, density = anatomy.classify(points, -anatomy.shape.distance(points))
-    layer, density = layer.reshape(size), density.reshape(size)
+    layer = layer.reshape(size)
+    density = density.reshape(size)
     core = tuple(slice(1, 1 + n) for n in counts)
     same = _over_windows(np.maximum, layer) == _over_windows(np.minimum, layer)
     same &= BLOCK * grid.spacing_m <= _WIDEST_INTERPOLATION_M
@@ -195,8 +181,8 @@ def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
     return values
 
 
-def _centres(index: Ints, spacing_m: float, shift: float) -> Singles:
-    """Coordinates [m] of the voxel numbers shifted by `shift` spacings, float32, shape (n, 3), stored by columns."""
+def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
+    """Return coordinates [m] of voxel numbers shifted by `shift` spacings, float32, shape (n, 3), stored by columns."""
     return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
 
 

@@ -86,7 +86,8 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
     done = 0
     while done < len(points):
         stop = max(int(np.searchsorted(ends, (ends[done - 1] if done else 0) + _PAIRS_AT_ONCE)), done + 1)
-        part, many = np.arange(done, stop), pairs[done:stop]
+        part = np.arange(done, stop)
+        many = pairs[done:stop]
         point = np.repeat(part, many)
         nth = np.arange(len(point)) - np.repeat(np.cumsum(many) - many, many)
         tested = triangle[starts[at[point]] + nth]
@@ -108,7 +109,8 @@ def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Int
     columns = wide.prod(axis=1)
     triangle = np.repeat(np.arange(len(corners)), columns)
     within = np.arange(len(triangle)) - np.repeat(np.cumsum(columns) - columns, columns)
-    x, y = first[triangle, 0] + within // wide[triangle, 1], first[triangle, 1] + within % wide[triangle, 1]
+    x = first[triangle, 0] + within // wide[triangle, 1]
+    y = first[triangle, 1] + within % wide[triangle, 1]
     column = x * count + y
     order = np.argsort(column, kind="stable")
     return triangle[order], np.searchsorted(column[order], np.arange(count**2 + 1))
@@ -116,7 +118,8 @@ def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Int
 
 def triangles_meeting(vertices: Array, faces: Ints, axis: int, low: float, high: float) -> Ints:
     """Triangles whose box meets an interval along an axis."""
-    below, above = vertices[:, axis] < low, vertices[:, axis] > high
+    below = vertices[:, axis] < low
+    above = vertices[:, axis] > high
     a, b, c = faces.T
     outside = (below[a] & below[b] & below[c]) | (above[a] & above[b] & above[c])
     return faces[~outside]
@@ -163,11 +166,14 @@ def _met(
     """Which vertical lines through (px, py) meet their triangle; height and sign (+1 entering) of those that do."""
     edge_normal = np.empty((3, len(triangle)))
     hit = np.ones(len(triangle), dtype=bool)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    a = corners[:, 0]
+    b = corners[:, 1]
+    c = corners[:, 2]
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     facing = np.sign(area).astype(np.int64)
     for k in range(3):
-        one, two = (k + 1) % 3, (k + 2) % 3
+        one = (k + 1) % 3
+        two = (k + 2) % 3
         backward = faces[:, one] > faces[:, two]
         start = np.where(backward[:, None], corners[:, two], corners[:, one])
         end = np.where(backward[:, None], corners[:, one], corners[:, two])
@@ -176,7 +182,8 @@ def _met(
         hit &= (side >= 0.0) == ((facing > 0) != backward)[triangle]
         edge_normal[k] = np.where(backward[triangle], -side, side)
     hit &= facing[triangle] != 0
-    triangle, edge_normal = triangle[hit], edge_normal[:, hit]
+    triangle = triangle[hit]
+    edge_normal = edge_normal[:, hit]
     height = (edge_normal * corners[triangle, :, 2].T).sum(axis=0) / area[triangle]
     low, high = lowest_and_highest(*corners[triangle, :, 2].T)
     return hit, np.clip(height, low, high), -facing[triangle]
@@ -187,7 +194,9 @@ def _turning(line: Ints, height: Array, sign: Ints) -> ColumnCrossings:
     if len(line) == 0:
         return ColumnCrossings(line, height, sign)
     order = np.lexsort((height, line))
-    line, height, sign = line[order], height[order], sign[order]
+    line = line[order]
+    height = height[order]
+    sign = sign[order]
     starts = np.concatenate([[True], line[1:] != line[:-1]])
     running = np.cumsum(sign)
     base = np.repeat((running - sign)[starts], np.diff(np.append(np.flatnonzero(starts), len(line))))

@@ -89,7 +89,8 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
     share = padded[crossed] / 255.0
     total = np.abs(normal).sum(axis=1)
     distance = _plane_distance(share, normal)
-    known, planes = np.full(padded.shape, -1, dtype=np.int32), len(at)
+    known = np.full(padded.shape, -1, dtype=np.int32)
+    planes = len(at)
     known[crossed] = np.arange(planes, dtype=np.int32)
     near = np.argwhere(_grown(_grown(crossed)))
     summed, weights = np.zeros((2, len(near)))
@@ -112,11 +113,13 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
 def _plane_distance(share: Floats, normal: Floats) -> Array:
     """Compute the signed distance of unit cubes' centres from the plane that leaves a share of them behind it."""
     half = 0.5 * np.abs(normal).sum(axis=1)
-    low, high = -half, half.copy()
+    low = -half
+    high = half.copy()
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         more = cube_fraction(middle, normal) > share
-        low, high = np.where(more, middle, low), np.where(more, high, middle)
+        low = np.where(more, middle, low)
+        high = np.where(more, high, middle)
     return np.asarray(0.5 * (low + high))
 
 
@@ -156,5 +159,6 @@ def _grown(flags: Flags) -> Flags:
 def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
     """Return slices of all but the last and all but the first along an axis."""
     low, high = ([slice(None)] * 3 for _ in range(2))
-    low[axis], high[axis] = slice(0, -1), slice(1, None)
+    low[axis] = slice(0, -1)
+    high[axis] = slice(1, None)
     return tuple(low), tuple(high)

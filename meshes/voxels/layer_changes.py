@@ -58,7 +58,8 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
     toward = _sums(codes, chosen, offsets, 60 // np.maximum((offsets**2).sum(axis=1), 1) * offsets.T)[1].T
     length = np.linalg.norm(toward, axis=1)
     found = length > 0.0
-    chosen, direction = chosen[found], toward[found] / length[found, None]
+    chosen = chosen[found]
+    direction = toward[found] / length[found, None]
     distance = np.empty(len(chosen), dtype=np.float32)
     for start in range(0, len(chosen), 1 << 16):
         part = slice(start, start + (1 << 16))
@@ -104,7 +105,8 @@ def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
 
 def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
     """Flat indices of the known voxels in cells, 2 x 2 x 2 voxels, in which two neighbours differ in layer."""
-    flat, steps = codes.ravel(), _strides(codes)
+    flat = codes.ravel()
+    steps = _strides(codes)
     mixed = np.zeros(flat.shape, dtype=bool)
     for axis, step in enumerate(steps):
         differ = np.flatnonzero(flat[:-step] != flat[step:])
@@ -123,7 +125,9 @@ def _sums(codes: Bytes, at: NDArray[np.intp], offsets: Ints, weights: NDArray[np
 
     ``weights`` has the shape (rows, offsets); whole numbers up to 2**24 in all are summed exactly, on any machine.
     """
-    flat, shifts, weights = codes.ravel(), (offsets @ _strides(codes))[:, None], weights.astype(np.float32)
+    flat = codes.ravel()
+    shifts = (offsets @ _strides(codes))[:, None]
+    weights = weights.astype(np.float32)
     inside, outside = np.empty((2, len(weights), len(at)), dtype=np.float32)
     count = _AT_ONCE // len(offsets)
     for start in range(0, len(at), count):

@@ -72,7 +72,8 @@ class TriangleSampler:
         crossings = column_crossings(self.vertices_m, self._within(grid, grid.spacing_m, 2), x, y)
         level = np.clip(crossings.height / grid.spacing_m - grid.first[2], 0.0, nz)
         voxel = np.minimum(level.astype(np.int64), nz - 1)
-        row, column = crossings.line // len(y) // _LINES, crossings.line % len(y) // _LINES
+        row = crossings.line // len(y) // _LINES
+        column = crossings.line % len(y) // _LINES
         flat = (row * ny + column) * (nz + 1) + voxel
         size = nx * ny * (nz + 1)
         covered = crossings.entering * (voxel + 1 - level)
@@ -86,7 +87,9 @@ class TriangleSampler:
         bx, by, bz = (n // step for n in grid.shape)
         cells = fraction.reshape(bx, step, by, step, bz, step).max(axis=(1, 3, 5)) > 0.0
         corners = np.zeros((bx + 1, by + 1, bz + 1), dtype=np.float32)
-        vertices, faces, margin = self.vertices_m, self.faces, np.inf
+        vertices = self.vertices_m
+        faces = self.faces
+        margin = np.inf
         if np.isfinite(self.threshold_m):
             margin = self.threshold_m + _CELLS_BEYOND * max(_WIDEST_LATTICE_M, grid.spacing_m)
             vertices, faces = compact(self.vertices_m, self._within(grid, margin, 3))
@@ -104,11 +107,13 @@ class TriangleSampler:
             corners[needed] = np.where(np.abs(depth) >= margin, np.abs(depth), depth)
         weight = ((np.arange(step) + 0.5) / step).astype(np.float32)
         for axis in range(3):
-            low, high = np.delete(corners, -1, axis=axis), np.delete(corners, 0, axis=axis)
+            low = np.delete(corners, -1, axis=axis)
+            high = np.delete(corners, 0, axis=axis)
             shape = list(low.shape)
             shape[axis] *= step
             along = weight.reshape([-1 if k == axis + 1 else 1 for k in range(4)])
-            low, high = np.expand_dims(low, axis + 1), np.expand_dims(high, axis + 1)
+            low = np.expand_dims(low, axis + 1)
+            high = np.expand_dims(high, axis + 1)
             corners = (low + (high - low) * along).reshape(shape)
         return corners
 

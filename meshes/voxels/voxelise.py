@@ -10,7 +10,7 @@ from meshes.base.arrays import Array, Bytes, Singles, lattice
 from meshes.base.errors import InputError, require_positive
 from meshes.shapes.anatomy import Anatomy, GridSampler
 from meshes.shapes.sdf import Shape
-from meshes.voxels.block_sampling import VoxelArrays, fill_from_shape, shape_fraction
+from meshes.voxels.block_sampling import VoxelArrays, centres_of, fill_from_shape, voxel_fraction
 from meshes.voxels.distances import (
     OUTSIDE,
     carried_beyond,
@@ -76,7 +76,8 @@ def voxelise(
     def fill(start: int) -> None:
         """Fill the slab that begins at a row of blocks."""
         stop = min(start + thickness, blocked.shape[0])
-        slab, part = blocked.slab(start, stop), arrays.slab(start, stop)
+        slab = blocked.slab(start, stop)
+        part = arrays.slab(start, stop)
         if anatomy.sample is None:
             fill_from_shape(anatomy, slab, part)
         else:
@@ -113,7 +114,8 @@ def voxelise(
 
 def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
     """The anatomy's layer at points in voxels of the grid, the depth interpolated where the anatomy samples it."""
-    first, spacing = np.array(grid.first, dtype=np.float32), np.float32(grid.spacing_m)
+    first = np.array(grid.first, dtype=np.float32)
+    spacing = np.float32(grid.spacing_m)
 
     def layer_at(points: Singles) -> Bytes:
         """Layer, shape (n,), at points in voxels from the grid's first corner, shape (n, 3)."""
@@ -177,11 +179,12 @@ def _take_out(minus: Shape, grid: Grid, out: VoxelArrays) -> None:
     low = (np.clip(lower, 0, grid.shape) // BLOCK * BLOCK).astype(int)
     high = (-(-np.clip(upper, 0, grid.shape) // BLOCK) * BLOCK).astype(int)
     part = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    first = (low + np.array(grid.first)).tolist()
-    size = (high - low).tolist()
-    taken = shape_fraction(minus, Grid(grid.spacing_m, (first[0], first[1], first[2]), (size[0], size[1], size[2])))
+    size = high - low
+    numbers = lattice(*[np.arange(n) + f for n, f in zip(size, low + grid.first, strict=True)])
+    points = centres_of(numbers, grid.spacing_m, 0.5)
+    taken = voxel_fraction(minus, points, minus.distance(points), grid.spacing_m).reshape(size)
     out.fraction[part] = np.rint(out.fraction[part] * (1.0 - taken))
-    centres = lattice(*[np.arange(n) + f + 0.5 for n, f in zip(size, first, strict=True)])
-    points = np.asfortranarray(centres * grid.spacing_m, dtype=np.float32)
+    # Rounded once, not at each step as above: these are the points that the traces of all scenes were recorded with.
+    points = np.asfortranarray((numbers + 0.5) * grid.spacing_m, dtype=np.float32)
     hole = surface_steps(-minus.distance(points).reshape(size) / np.float32(grid.spacing_m))
     out.surface[part] = np.maximum(out.surface[part], hole)

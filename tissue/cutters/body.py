@@ -13,7 +13,8 @@ from tissue.cutters.profile import Arc, Line, Piece, Profile
 
 __all__ = ["OutlineTable", "body_points", "convex_parts", "outline_table"]
 
-ON_SURFACE, INSIDE = 3000, 1000
+ON_SURFACE = 3000
+INSIDE = 1000
 """About as many points on the surface and in the inside at most."""
 CONVEX = 1e-9
 
@@ -40,7 +41,8 @@ def _ring(radius: float, height: float, count: int) -> Array:
 
 def _inside(profile: Profile, spacing: float) -> Array:
     """Points of a cubic lattice inside a profile, deeper than half their distance."""
-    reach, (low, high) = profile.radius_m, profile.height_range_m
+    reach = profile.radius_m
+    (low, high) = profile.height_range_m
     pitch = max(2.0 * spacing, (pi * reach**2 * (high - low) / INSIDE) ** (1.0 / 3.0))
     across = pitch * np.arange(-ceil(reach / pitch), ceil(reach / pitch) + 1)
     grid = lattice(across, across, np.arange(low, high, pitch))
@@ -113,7 +115,8 @@ def _is_convex(pieces: tuple[Piece, ...]) -> bool:
     ends = np.array([0.0, 1.0])
     normals = [piece.at(ends)[1] for piece in pieces]
     for before, after in pairwise(normals):
-        a, b = before[1], after[0]
+        a = before[1]
+        b = after[0]
         if a[0] * b[1] - a[1] * b[0] < -CONVEX:
             return False
     starts_down = normals[0][0][1] <= CONVEX

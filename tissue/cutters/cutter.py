@@ -63,7 +63,8 @@ class DistanceTable:
 
     def bend_at(self, radius: Array, height: Array) -> Singles:
         """The bend at points given by radius and height above the tip [voxel], shape (n,)."""
-        u, v = radius * self.cells_per_voxel, (height - self.height_min) * self.cells_per_voxel
+        u = radius * self.cells_per_voxel
+        v = (height - self.height_min) * self.cells_per_voxel
         last = self.bend.shape[0] - 2, self.bend.shape[1] - 2
         return self.bend[np.clip(u.astype(int), 0, last[0]), np.clip(v.astype(int), 0, last[1])]
 
@@ -88,7 +89,8 @@ class Cutter:
     spin_rad_s: float
 
     def __repr__(self) -> str:
-        diameter_mm, rpm = 2e3 * self.profile.radius_m, -self.spin_rad_s * 60.0 / (2.0 * pi)
+        diameter_mm = 2e3 * self.profile.radius_m
+        rpm = -self.spin_rad_s * 60.0 / (2.0 * pi)
         return f"Cutter({diameter_mm:.4g} mm wide, {self.flute_count} flutes, {rpm:.6g} turns a minute)"
 
     @property
@@ -128,7 +130,9 @@ class Cutter:
         parts = [spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting == cutting]
         points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.concatenate(_patches(points, np.arange(len(points))))
-        points, normals, areas = points[order], normals[order], areas[order]
+        points = points[order]
+        normals = normals[order]
+        areas = areas[order]
         return PointShell(points, normals, areas, np.hypot(points[:, 0], points[:, 1]))
 
     def table(self, *, spacing_m: float) -> DistanceTable:

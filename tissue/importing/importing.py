@@ -1,6 +1,6 @@
 """Import of a CT: from an image to a folder with a scene."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +112,9 @@ def import_ct(
     """
     folder = Path(out)
     require_folder(folder, "import", (SCENE, RECORD), overwrite=overwrite)  # before minutes of reading
+    unknown = sorted(options.keys() - {each.name for each in fields(ImportRequest)})
+    if unknown:
+        raise TypeError(f"import_ct() got an unexpected keyword argument {unknown[0]!r}")
     given = {name: value for name, value in options.items() if value is not None}
     convert = {"labels": Path, "path": Path, "keep_clear": tuple, "parts": dict}
     request = ImportRequest(
