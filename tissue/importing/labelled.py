@@ -20,7 +20,7 @@ from meshes.tets.grid import write_organ
 from meshes.tooth.layers import TOOTH_LAYERS
 from tissue.figures.ct_organ import draw_ct_organ
 from tissue.figures.ct_slices import draw_ct_slices
-from tissue.importing.draft import Draft, scene_tables, toml, write_labels
+from tissue.importing.draft import Draft, Writer, scene_tables, toml, write_labels
 from tissue.importing.request import ImportRequest
 from tissue.scene.load import load_scene
 
@@ -73,7 +73,7 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         "source": tooth.image.source,
         "volume_mm3": {each: voxel_mm3 * int(tooth.mask(each).sum()) for each in tooth.names.values()},
     }
-    files = {
+    files: dict[str, Writer] = {
         "tooth.seg.nrrd": partial(write_labels, tooth),
         "slices.png": partial(_draw_tooth, image, tooth, middle),
     }
@@ -181,7 +181,7 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         masks = {each: labels.mask(each) for each in names}
         draw_ct_organ(image, file, masks=masks, mesh=mesh, title=image.source)
 
-    files = {
+    files: dict[str, Writer] = {
         "organ.vtu": partial(write_organ, mesh),
         "labels.seg.nrrd": partial(write_labels, _only(labels, {labels.number(each): each for each in names})),
         "slices.png": draw,

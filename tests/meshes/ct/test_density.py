@@ -195,7 +195,7 @@ def test_the_band_covers_tissues_that_differ_between_persons():
 
     for _ in range(400):
         energy = rng.uniform(60.0, 100.0)
-        drawn = dict(zip(ALL, rng.normal(size=4), strict=True))
+        drawn = dict(zip(("air", "adipose", "muscle", "blood", "cortex"), rng.normal(size=5), strict=True))
         scanner = (energy, 1.0 + 0.01 * rng.normal(), 4.0 * rng.normal())
         regions = {
             tissue: Region(
