@@ -27,7 +27,8 @@ def mass_attenuation(material: str, energy_keV: float) -> float:
         If the energy is outside the table.
     """
     energy = require_range("energy_keV", energy_keV, *ENERGIES_KEV, "use the effective energy, about 70")
-    curves, fractions = _curves(), _table()["materials"][material]["fractions"]
+    curves = _curves()
+    fractions = _table()["materials"][material]["fractions"]
     total = sum(share * np.exp(curves[element](np.log(energy))) for element, share in fractions.items())
     return 0.1 * float(total)
 

@@ -1,231 +1,275 @@
-"""Density calibration without a phantom: air, fat, muscle, blood and cortex of the same CT are the phantom.
+"""Density calibration without a phantom: air, fat, muscle and cortex of the same CT are the phantom.
 
-After Michalski et al. 2020 (Med Eng Phys 78:55): the effective energy is the one at which the attenuation of the
-reference tissues fits their Hounsfield units best; a two-component model of triglyceride and K2HPO4 then makes a
-density of each value. Written from the paper's method. Where it differs: linear attenuation is fitted, since Hounsfield
-units are linear in it; all unknowns are found together with what is known of them beforehand, so that their uncertainty
-reaches the density; and dense bone of ICRU 44 in marrow, the second two-component model, leads to apparent density,
-because relations from K2HPO4 to ash in use differ by 30 %.
+After Michalski et al. 2020 (Med Eng Phys 78:55), written from the paper's method: the effective energy is the one at
+which the attenuation of the reference tissues fits their Hounsfield units best. Differences from the paper: linear
+attenuation is fitted, because Hounsfield units are linear in it. All unknowns have priors and are found together, so
+that their uncertainty reaches the density. Dense bone of ICRU 44 in marrow leads to apparent density, because relations
+from K2HPO4 to ash in use differ by 30 %.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Ints, Singles
 from meshes.base.errors import InputError
 from meshes.ct.attenuation import density_of, hounsfield, linear_attenuation
 from meshes.ct.density import ASH_SHARE, ASH_SHARE_SD, DensityLaw
-from meshes.ct.labels import Labels
-from meshes.ct.tissue_regions import Region, find_regions
 from meshes.images.frame import Image
 
-__all__ = ["InternalCalibration", "calibrate", "fit_regions", "internal_calibration"]
+__all__ = ["Calibration", "Region", "calibrate", "find_regions", "fit_regions"]
 
-_SPREAD = {"air": 0.0, "adipose": 0.02, "muscle": 0.01, "blood": 0.01, "cortex": 0.04}
+_SPREAD = {"air": 0.0, "adipose": 0.02, "muscle": 0.01, "cortex": 0.04}
 """Relative standard deviation of a tissue's attenuation between persons. Fat and muscle: half of what adipose tissues 1
-to 3 and muscles 1 to 3 of Woodard and White 1986 (Br J Radiol 59:1209) lie apart, with the fat in muscle; blood: its
-haematocrit of 0.37 to 0.5; cortex: pores of 3 to 12 % and density of 1.85 to 2.0 g/cm3 where it is densest."""
-_ENERGY_KEV, _ENERGY_SD_KEV = 72.0, 15.0
-"""Effective energy beforehand: clinical tubes of 80 to 140 kV make about 50 to 85 keV."""
-_LOWEST_KEV, _HIGHEST_KEV = 38.0, 140.0
-_WATER_SD_HU, _SCALE_SD = 4.0, 0.01
-"""What a scanner may be off: water 0 +- 4 HU in its acceptance test (IEC 61223-3-5), and the scale by 1 %."""
-_MARROW_FAT, _MARROW_FAT_SD = 0.6, 0.25
-"""Share of fat in what fills the pores: red marrow has 0.4, yellow 0.8 (ICRP 89)."""
+to 3 and muscles 1 to 3 of Woodard and White 1986 (Br J Radiol 59:1209) differ by, with the fat in muscle. Cortex: pores
+of 3 to 12 % and density of 1.85 to 2.0 g/cm3 where it is densest."""
+_ENERGY_KEV = 72.0  # prior of the effective energy: clinical tubes of 80 to 140 kV make about 50 to 85 keV
+_ENERGY_SD_KEV = 15.0
+_LIMITS_KEV = (38.0, 140.0)
+_WATER_SD_HU = 4.0  # water is 0 +- 4 HU in a scanner's acceptance test (IEC 61223-3-5)
+_SCALE_SD = 0.01  # error of a scanner's scale
+_MARROW_FAT = 0.6  # fraction of fat in the pores: red marrow has 0.4, yellow 0.8 (ICRP 89)
+_MARROW_FAT_SD = 0.25
 _MINERAL_SD = 0.03
 """Relative standard deviation of apparent density from mineral: ICRU 44's calcium makes ash 0.57 of dense bone, the
-ratio of Schileo 2008 is 0.598; half of what these lie apart."""
-_WORST_FIT = 9.0
-"""Mean square of misfits over their standard deviations that no Hounsfield units have."""
-_CHANCE = 0.1
-"""A misfit that chance makes less often than this widens the band."""
-_SOFT = ("adipose", "muscle", "blood")
+ratio of Schileo 2008 is 0.598. Half of their difference."""
+_WORST_FIT = 9.0  # mean squared misfit, in standard deviations, above which the values are no Hounsfield units
+_CHANCE = 0.1  # a misfit less probable than this widens the band
+
+_SLAB_VOXELS = 4e6
+_MOST_VOXELS = 4e7  # only every second, third ... slab of a larger image is used
+_MODES_HU = {"air": (-1060.0, -940.0), "adipose": (-140.0, -45.0), "muscle": (15.0, 95.0)}
+"""Range of a tissue's most frequent value between effective energies of 40 and 120 keV: the tissues of ICRU 44 (fat -99
+to -57, muscle 45 to 40) and 35 HU to either side."""
+_BINS_HU = (-1100, 200)
+_SMOOTHING_HU = 4.0
+_LEAST_PEAK = 0.2  # height of a maximum, relative to the highest in the tissue's range
+_PROMINENCE = 0.02  # likewise
+_WINDOW_HU = 12
+_WIDTH_ERROR = 0.1  # error over full width at half prominence: a quarter of the maximum's standard deviation
+_SMALLEST_MM3 = 500.0
+_FEWEST_VOXELS = 60
+_DENSE_HU = 700.0
+_METAL_HU = 2500.0  # above all bone but enamel
+_METAL_REACH_MM = 12.0
+_DENSEST_SHARE = 0.1
+_SMALLEST_CORTEX_MM3 = 80.0
+_ERROR_HU = 1.0  # smallest standard error of a region: 12-bit steps of 1 and shading across the image
 
 
 @dataclass(frozen=True)
-class InternalCalibration:
-    """What a calibration found.
+class Region:
+    """Mean value of one tissue in an image and its standard error [HU]."""
 
-    Attributes
-    ----------
-    law
-        Apparent density [kg/m3] of Hounsfield units.
-    energy_keV, energy_sd_keV
-        Effective energy and its standard deviation [keV].
-    k2hpo4
-        Slope [kg/m3 per HU] and offset [kg/m3] of the K2HPO4-equivalent density in triglyceride.
-    regions
-        Regions that were found, by tissue.
-    misfits
-        Measured less fitted mean of each region [HU], tissues as in the tables.
-    notes
-        What was missing or unlikely, a sentence each.
+    mean_HU: float
+    error_HU: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Density law of Hounsfield units that a calibration found.
+
+    `energy_keV` is the effective energy with its standard deviation, `regions` holds what was found by tissue.
     """
 
     law: DensityLaw
     energy_keV: float
     energy_sd_keV: float
-    k2hpo4: tuple[float, float]
     regions: dict[str, Region]
-    misfits: dict[str, float]
-    notes: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """The calibration as a JSON object."""
-        return {
-            "law": self.law.as_dict(),
-            "effective_energy_keV": self.energy_keV,
-            "effective_energy_sd_keV": self.energy_sd_keV,
-            "k2hpo4_slope_kg_m3": self.k2hpo4[0],
-            "k2hpo4_offset_kg_m3": self.k2hpo4[1],
-            "regions": {tissue: region.as_dict() for tissue, region in self.regions.items()},
-            "misfits_HU": self.misfits,
-            "notes": list(self.notes),
-        }
 
 
-def internal_calibration(image: Image, *, labels: Labels | None = None) -> DensityLaw:
-    """Density law of a CT by its own tissues, see `calibrate`."""
-    return calibrate(image, labels=labels).law
+def calibrate(image: Image) -> Calibration:
+    """Calibrate a CT in Hounsfield units by its own air, fat, muscle and cortex; raises as `fit_regions`."""
+    return fit_regions(find_regions(image), source=image.source)
 
 
-def calibrate(image: Image, *, labels: Labels | None = None) -> InternalCalibration:
-    """Calibrate a CT by its own air, fat, muscle, cortex and, with labels, blood.
+def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
+    """Fit effective energy, scanner line and density law to the means of regions, with their uncertainty.
 
-    Parameters
-    ----------
-    image
-        The CT [Hounsfield units].
-    labels
-        Labels on the image's grid that name muscles or vessels.
+    The unknowns are the energy, the scanner's error of water and scale, the fat in marrow and each tissue's deviation
+    from ICRU 44, as standard normal numbers. The covariance is that of the linearised problem.
 
     Raises
     ------
     InputError
-        If too few tissues are found, or what is found fits those of no energy.
+        If too few tissues are given, or their values fit no energy.
     """
-    return fit_regions(find_regions(image, labels=labels), source=image.source)
-
-
-def fit_regions(regions: dict[str, Region], *, source: str) -> InternalCalibration:
-    """Effective energy, scanner line and density law that fit the means of regions best, with their uncertainty.
-
-    Unknowns are the energy, the scanner's error of water and scale, each tissue's deviation from ICRU 44 and the fat in
-    marrow, all with normal priors. The covariance is that of the linearised problem; a misfit beyond chance
-    widens it.
-
-    Raises
-    ------
-    InputError
-        See `calibrate`.
-    """
-    from scipy.optimize import least_squares
+    from scipy.optimize import approx_fprime, least_squares
     from scipy.special import chdtri
 
     tissues = [tissue for tissue in _SPREAD if tissue in regions]
-    _require_enough(tissues, source)
+    if len(tissues) < 2 or not {"adipose", "muscle"}.intersection(tissues):
+        raise InputError(
+            f"an internal calibration must find fat or muscle and a second tissue, got {', '.join(tissues) or 'none'} "
+            f"in {source}: keep the soft tissue in the image, or give a phantom's line as line:SLOPE,OFFSET"
+        )
     means = np.array([regions[tissue].mean_HU for tissue in tissues])
     errors = np.array([regions[tissue].error_HU for tissue in tissues])
 
-    def predicted(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
+    def misfit(unknown: Array) -> Array:
         energy = _energy(unknown)
-        each = [1.0 + _SPREAD[tissue] * unknown[4 + k] for k, tissue in enumerate(tissues)]
-        return np.array([_read(f * linear_attenuation(t, energy), unknown) for f, t in zip(each, tissues, strict=True)])
+        fitted = [
+            _read((1.0 + _SPREAD[tissue] * deviation) * linear_attenuation(tissue, energy), unknown)
+            for tissue, deviation in zip(tissues, unknown[4:], strict=True)
+        ]
+        return np.concatenate([(fitted - means) / errors, unknown])
 
-    def misfit(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([(predicted(unknown) - means) / errors, unknown])
-
-    limits = [(edge - _ENERGY_KEV) / _ENERGY_SD_KEV for edge in (_LOWEST_KEV, _HIGHEST_KEV)]
-    free = np.full(3 + len(tissues), np.inf)
-    found = least_squares(
-        misfit, np.zeros(4 + len(tissues)), bounds=(np.append(limits[0], -free), np.append(limits[1], free))
-    )
-    misfit_squared = 2.0 * float(found.cost)
-    if misfit_squared > _WORST_FIT * len(tissues):
+    bounds = np.full((2, 4 + len(tissues)), np.inf) * [[-1.0], [1.0]]
+    bounds[:, 0] = (np.array(_LIMITS_KEV) - _ENERGY_KEV) / _ENERGY_SD_KEV
+    found = least_squares(misfit, np.zeros(4 + len(tissues)), bounds=bounds)
+    squared = 2.0 * float(found.cost)
+    if squared > _WORST_FIT * len(tissues):
         seen = ", ".join(f"{tissue} {regions[tissue].mean_HU:.0f}" for tissue in tissues)
         raise InputError(
             f"grey values must be Hounsfield units for an internal calibration, got {seen} in {source}, which fit no "
             "energy: give a phantom's line as line:SLOPE,OFFSET"
         )
-    covariance = np.linalg.inv(found.jac.T @ found.jac) * max(misfit_squared / chdtri(len(tissues), _CHANCE), 1.0)
-    line, slopes = _with_derivatives(_density_line, found.x)
-    spread = slopes @ covariance @ slopes.T
-    energy, energy_sd = _energy(found.x), _ENERGY_SD_KEV * math.sqrt(covariance[0, 0])
-    at = f"{energy:.0f} +- {energy_sd:.0f} keV"
+    covariance = np.linalg.inv(found.jac.T @ found.jac) * max(squared / chdtri(len(tissues), _CHANCE), 1.0)
+    slope, offset = _density_line(found.x)
+    derivatives = approx_fprime(found.x, _density_line, 1e-6)
+    spread = derivatives @ covariance @ derivatives.T
+    energy = _energy(found.x)
+    energy_sd = _ENERGY_SD_KEV * math.sqrt(covariance[0, 0])
     law = DensityLaw(
-        float(line[0]),
-        float(line[1]),
+        float(slope),
+        float(offset),
         name="internal",
-        source=f"internal calibration after Michalski 2020 by {', '.join(tissues)}: effective energy {at}; dense bone "
-        f"of ICRU 44 in marrow, ash over apparent {ASH_SHARE} +- {ASH_SHARE_SD} (Schileo 2008)",
+        source=f"internal calibration after Michalski 2020 by {', '.join(tissues)}: effective energy {energy:.0f} +- "
+        f"{energy_sd:.0f} keV; dense bone of ICRU 44 in marrow, ash over apparent {ASH_SHARE} +- {ASH_SHARE_SD} "
+        "(Schileo 2008)",
         covariance=(float(spread[0, 0]), float(spread[0, 1]), float(spread[1, 1])),
         relative_sd=math.hypot(_MINERAL_SD, ASH_SHARE_SD / ASH_SHARE),
     )
-    plain = found.x * np.concatenate([[1.0, 1.0, 1.0, 0.0], np.zeros(len(tissues))])
-    misfits = {tissue: float(m - p) for tissue, m, p in zip(tissues, means, predicted(plain), strict=True)}
-    k2hpo4 = _k2hpo4_line(found.x)
-    return InternalCalibration(law, energy, energy_sd, k2hpo4, regions, misfits, _notes(tissues, source, energy))
+    return Calibration(law, energy, energy_sd, regions)
 
 
-def _energy(unknown: NDArray[np.float64]) -> float:
+def _energy(unknown: Array) -> float:
     return _ENERGY_KEV + _ENERGY_SD_KEV * float(unknown[0])
 
 
-def _read(attenuation_1_m: float, unknown: NDArray[np.float64]) -> float:
-    """Hounsfield units that the scanner shows of a linear attenuation [1/m]."""
+def _read(attenuation_1_m: float, unknown: Array) -> float:
+    """Compute the Hounsfield units that the scanner shows for a linear attenuation [1/m]."""
     true = hounsfield(attenuation_1_m, _energy(unknown))
     return (1.0 + _SCALE_SD * float(unknown[1])) * true + _WATER_SD_HU * float(unknown[2])
 
 
-def _density_line(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Slope [kg/m3 per HU] and offset [kg/m3]: dense bone and marrow share the volume."""
-    energy, fat = _energy(unknown), _MARROW_FAT + _MARROW_FAT_SD * unknown[3]
+def _density_line(unknown: Array) -> Array:
+    """Compute slope [kg/m3 per HU] and offset [kg/m3] of a volume shared by dense bone and marrow."""
+    energy = _energy(unknown)
+    fat = _MARROW_FAT + _MARROW_FAT_SD * unknown[3]
     marrow = fat * linear_attenuation("adipose", energy) + (1.0 - fat) * linear_attenuation("muscle", energy)
-    dense_HU, marrow_HU = _read(linear_attenuation("cortex", energy), unknown), _read(marrow, unknown)
-    slope = density_of("cortex") / (dense_HU - marrow_HU)
+    marrow_HU = _read(marrow, unknown)
+    slope = density_of("cortex") / (_read(linear_attenuation("cortex", energy), unknown) - marrow_HU)
     return np.array([slope, -slope * marrow_HU])
 
 
-def _k2hpo4_line(unknown: NDArray[np.float64]) -> tuple[float, float]:
-    """Slope [kg/m3 per HU] and offset [kg/m3]: K2HPO4 and triglyceride share the volume."""
-    energy = _energy(unknown)
-    salt_HU, fat_HU = (_read(linear_attenuation(each, energy), unknown) for each in ("K2HPO4", "triglyceride"))
-    slope = density_of("K2HPO4") / (salt_HU - fat_HU)
-    return slope, -slope * fat_HU
+@dataclass(frozen=True, eq=False)
+class _Slab:
+    """Slices of an image: values, and mean, standard deviation, spread and minimum over 3 x 3 x 3 voxels."""
+
+    values: Singles
+    mean: Singles
+    sd: Singles
+    spread: Singles
+    least: Singles
 
 
-def _with_derivatives(
-    function: Callable[[NDArray[np.float64]], NDArray[np.float64]], at: NDArray[np.float64], step: float = 1e-3
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A function's value and its derivatives by central differences, shape (values, unknowns)."""
-    slopes = [function(at + step * unit) - function(at - step * unit) for unit in np.eye(len(at))]
-    return function(at), np.array(slopes).T / (2.0 * step)
+def find_regions(image: Image) -> dict[str, Region]:
+    """Find air, adipose, muscle and cortex in a CT.
+
+    Homogeneous voxels are those whose neighbourhood varies by no more than noise. Air, fat and muscle are their most
+    frequent values in the tissues' ranges. Cortex is the densest tenth of the bone within bone, away from metal.
+    """
+    thickness = max(int(_SLAB_VOXELS // math.prod(image.values.shape[:2])), 4)
+    whole = range(0, image.values.shape[2], thickness)
+    starts = whole[:: math.ceil(image.values.size / _MOST_VOXELS)]
+    middle = _filtered(image, starts[len(starts) // 2], thickness)
+    soft = middle.sd[(middle.mean > -160.0) & (middle.mean < 120.0)]
+    noise = float(np.quantile(soft if soft.size > 1000 else middle.sd, 0.3))
+    voxel_mm3 = math.prod(image.spacing_mm) * len(whole) / len(starts)
+    padding = float(image.values.min())
+    air_low, air_high = _MODES_HU["air"]
+    counts = np.zeros(_BINS_HU[1] - _BINS_HU[0], dtype=np.int64)
+    air = []
+    dense = []
+    for start in starts:
+        slab = _filtered(image, start, thickness)
+        # A constant lowest value is what a scanner writes outside its field of view, unless it is that of air.
+        held = (slab.sd > 0.0) | (slab.mean != padding) | (padding >= air_low + 45.0)
+        even = held & (slab.sd < 1.6 * noise + 1.0) & (slab.spread < 3.0 * noise + 3.0)
+        counts += np.histogram(slab.mean[even], bins=len(counts), range=_BINS_HU)[0]
+        air.append(slab.values[even & (slab.mean > air_low) & (slab.mean < air_high)][::7])
+        dense.append(slab.mean[_is_dense(slab, noise, image)])
+    found = {tissue: _most_frequent(tissue, counts, voxel_mm3, noise) for tissue in _MODES_HU}
+    if found["air"] is not None:  # values cut off at -1024 do not move the median
+        found["air"] = Region(float(np.median(np.concatenate(air))), 3.0)
+    found["cortex"] = _cortex(np.concatenate(dense), voxel_mm3)
+    return {tissue: region for tissue, region in found.items() if region is not None}
 
 
-def _require_enough(tissues: list[str], source: str) -> None:
-    """Refuse a calibration without soft tissue, or with one region alone."""
-    if len(tissues) < 2 or not any(tissue in _SOFT for tissue in tissues):
-        raise InputError(
-            f"an internal calibration must find fat or muscle and a second tissue, got {', '.join(tissues) or 'none'} "
-            f"in {source}: keep the soft tissue in the image, or give a phantom's line as line:SLOPE,OFFSET"
-        )
+def _filtered(image: Image, start: int, thickness: int) -> _Slab:
+    """Filter a slab of an image that begins at a slice."""
+    from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
+
+    first = max(start - 2, 0)
+    values = image.values[:, :, first : start + thickness + 2].astype(np.float32)
+    shift = np.float32(values.mean())  # sums of squares keep their digits
+    mean = uniform_filter(values - shift, 3)
+    variance = uniform_filter((values - shift) ** 2, 3) - mean**2
+    filtered = (
+        values,
+        mean + shift,
+        np.sqrt(np.maximum(variance - 1e-3, 0.0)),
+        maximum_filter(mean, 3) - minimum_filter(mean, 3),
+        minimum_filter(values, 3),
+    )
+    return _Slab(*(each[:, :, start - first : start - first + thickness] for each in filtered))
 
 
-def _notes(tissues: list[str], source: str, energy: float) -> tuple[str, ...]:
-    lacking = {
-        "cortex": "no dense cortex thick enough for its voxels was found: the energy is hardly known, the band wide",
-        "air": "no air was found: the scale is taken to be the scanner's own",
-        "adipose": "no fat was found",
-        "muscle": "no muscle was found",
-    }
-    missing = [text for tissue, text in lacking.items() if tissue not in tissues]
-    notes = [f"Internal calibration of {source}: {text}." for text in missing]
-    if not 50.0 <= energy <= 90.0:
-        notes.append(
-            f"An effective energy of {energy:.0f} keV is unusual for a clinical CT (50 to 90): check its units."
-        )
-    return tuple(notes)
+def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) -> Region | None:
+    """Find the maximum of the histogram in the tissue's range, if it holds enough voxels.
+
+    It is the highest maximum. Of muscle it is the lowest that is not small, since organs with contrast medium lie
+    above it. The error grows with the maximum's width, to which several tissues may add.
+    """
+    from scipy.ndimage import gaussian_filter1d
+    from scipy.signal import find_peaks, peak_widths
+
+    low, high = (int(edge) - _BINS_HU[0] for edge in _MODES_HU[tissue])
+    smooth = gaussian_filter1d(counts.astype(np.float64), _SMOOTHING_HU)[low:high]
+    peaks = find_peaks(smooth, height=_LEAST_PEAK * smooth.max(), prominence=_PROMINENCE * smooth.max())[0]
+    if smooth.max() <= 0.0 or not len(peaks):
+        return None
+    peak = peaks[0] if tissue == "muscle" else peaks[np.argmax(smooth[peaks])]
+    width = float(peak_widths(smooth, [peak])[0][0])
+    top = low + int(peak)
+    window = np.arange(max(top - _WINDOW_HU, 0), min(top + _WINDOW_HU + 1, len(counts)))
+    count = int(counts[window].sum())
+    if count * voxel_mm3 < _SMALLEST_MM3 or count < _FEWEST_VOXELS:
+        return None
+    mean = float(np.average(window + 0.5 + _BINS_HU[0], weights=counts[window]))
+    return Region(mean, math.hypot(_ERROR_HU, noise / math.sqrt(count / 27.0), _WIDTH_ERROR * width))
+
+
+def _is_dense(slab: _Slab, noise: float, image: Image) -> Flags:
+    """Select homogeneous bone within bone, away from metal."""
+    from scipy.ndimage import uniform_filter
+
+    chosen = slab.least > _DENSE_HU
+    metal = slab.values > _METAL_HU
+    if chosen.any() and metal.sum() >= 5:
+        size = [2 * math.ceil(_METAL_REACH_MM / spacing) + 1 for spacing in image.spacing_mm]
+        chosen &= uniform_filter(metal.astype(np.float32), size) < 1e-6
+    selected: Flags = chosen & (slab.sd < np.maximum(2.0 * noise, 0.06 * slab.mean))
+    return selected
+
+
+def _cortex(dense: Singles, voxel_mm3: float) -> Region | None:
+    """Compute the median of the densest tenth; its error is half of its spread."""
+    count = max(int(_DENSEST_SHARE * len(dense)), math.ceil(_SMALLEST_CORTEX_MM3 / voxel_mm3), _FEWEST_VOXELS)
+    if len(dense) < count:
+        return None
+    densest = np.sort(dense)[-count:]
+    error = 0.5 * float(np.quantile(densest, 0.8) - np.quantile(densest, 0.2))
+    return Region(float(np.median(densest)), math.hypot(5.0, error))

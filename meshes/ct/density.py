@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Singles
 from meshes.base.errors import InputError, require_range, require_ranges
 
 __all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DensityLaw", "scanner_law"]
@@ -66,21 +67,21 @@ class DensityLaw:
                 "use what a regression states, or zeros"
             )
 
-    def __call__(self, values: NDArray[np.number]) -> NDArray[np.float32]:
-        """Density [kg/m3] of grey values, same shape."""
+    def __call__(self, values: NDArray[np.number]) -> Singles:
+        """Compute the density [kg/m3] of grey values, same shape."""
         density = np.float32(self.slope_kg_m3) * values + np.float32(self.offset_kg_m3)
         return np.clip(density, self.lowest_kg_m3, self.highest_kg_m3).astype(np.float32)
 
-    def sd(self, values: NDArray[np.number]) -> NDArray[np.float32]:
-        """Standard uncertainty of the density [kg/m3] of tissue of mean grey values, same shape, before the limits."""
+    def sd(self, values: NDArray[np.number]) -> Singles:
+        """Compute the standard uncertainty of the density [kg/m3] of mean grey values, before the limits."""
         values = np.asarray(values, dtype=np.float64)
         slope, both, offset = self.covariance
         scaled = self.relative_sd * (self.slope_kg_m3 * values + self.offset_kg_m3)
         variance = slope * values**2 + 2.0 * both * values + offset + self.residual_sd_kg_m3**2 + scaled**2
         return np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
 
-    def band(self, values: NDArray[np.number], share: float = 0.9) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Lower and upper bound [kg/m3] that hold the density of tissue of mean grey values with probability `share`.
+    def band(self, values: NDArray[np.number], share: float = 0.9) -> tuple[Singles, Singles]:
+        """Compute bounds [kg/m3] that hold the density of tissue of mean grey values with probability `share`.
 
         Raises
         ------
@@ -95,14 +96,14 @@ class DensityLaw:
         return low.astype(np.float32), high.astype(np.float32)
 
     def as_dict(self) -> dict[str, Any]:
-        """The line as a JSON object, densities in kg/m3."""
+        """Return the law as a JSON object, densities in kg/m3."""
         return {**asdict(self), "covariance": list(self.covariance)}
 
 
 def scanner_law(
     name: str, ash_kg_m3: float, offset_kg_m3: float, *, source: str, slope_sd: float, offset_sd_kg_m3: float
 ) -> DensityLaw:
-    """Law of one scanner's line from Hounsfield units to ash density [kg/m3], as uncertain as it is for other scanners.
+    """Return the law of one scanner's line to ash density [kg/m3], as uncertain as it is for other scanners.
 
     Parameters
     ----------

@@ -1,34 +1,59 @@
-"""What a CT holds: whether its values are Hounsfield units, its noise, metal in it, and how much of it is what."""
+"""Inspection of a CT: Hounsfield units or not, noise, metal, a threshold of bone, and whether labels fit the values."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import by, in_brackets
+from meshes.base.arrays import Array, Flags, Ints
+from meshes.base.errors import InputError, by, in_brackets
 from meshes.images.frame import Image
 
-__all__ = ["Histogram", "Inspection", "histogram_of", "inspect"]
+__all__ = [
+    "Histogram",
+    "Inspection",
+    "bone_label_note",
+    "histogram_of",
+    "inspect",
+    "soft_label_note",
+    "suggest_threshold",
+]
 
-AIR_HU, SOFT_HU = (-1100, -900), (-150, 150)
-"""Ranges in which air, and fat to muscle, lie in any CT [HU]."""
+AIR_HU = (-1100, -900)
+SOFT_HU = (-150, 150)
+"""Ranges of air, and of fat to muscle, in any CT [HU]."""
 METAL_HU = 3000
-"""Above it lies no tissue: enamel, the densest, reaches about 2800 HU at 120 kV (M)."""
+"""No tissue lies above it: enamel, the densest, reaches about 2800 HU at 120 kV (from memory, confidence M)."""
 _COARSE_MM = 5.0
 """Distance of slices from which they are reported as coarse."""
 _LEAST_METAL = 8
-"""Voxels: fewer are noise."""
+"""Fewer voxels above `METAL_HU` are noise."""
 _LEAST_SHARE = 1e-3
-_LOWEST, _HIGHEST = -2000, 20_000
-"""Values beyond are counted at the ends of the histogram."""
+_LOWEST = -2000
+_HIGHEST = 20_000
+"""Values beyond these are counted at the ends of the histogram."""
 _MOST_SAMPLED = 4_000_000
 _MAD = 0.6745
-"""Median absolute deviation of a normal variable of sd 1."""
+"""Median absolute deviation of a normal variable of standard deviation 1."""
+LOWEST_HU = 150.0
+HIGHEST_HU = 600.0
+"""Thresholds of bone in use: 150 for osteoporotic, 226 by common programs, 600 for the cortex alone."""
+_SOFT_PEAK_HU = (-50.0, 120.0)
+_MOST_HU = 1600.0
+_EQUAL = 1e-9
+"""Relative difference of two variances that count as equal: rounding of sums over up to 1e9 voxels."""
+_NO_BONE = 0.1
+_LITTLE_BONE = 0.5
+"""Shares of a bone's label above the threshold of bone. The cortex alone is more than a tenth of any bone; where marrow
+is the larger part of the label, as in the humeral head of an old person, more than half may lie below."""
+_SOFT_ORGAN_HU = (-200.0, 300.0)
+"""Range of the median of a soft organ in any CT, contrast agent included [HU]."""
+_CAUSES = "give the labels of this image, and check that they are not flipped, moved or of another organ"
 
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """How many voxels have each whole value.
+    """Number of voxels of each whole value.
 
     Attributes
     ----------
@@ -39,20 +64,20 @@ class Histogram:
     """
 
     first: int
-    counts: NDArray[np.int64]
+    counts: Ints
 
     @property
-    def values(self) -> NDArray[np.int64]:
+    def values(self) -> Ints:
         """Value of each count."""
         return self.first + np.arange(len(self.counts))
 
     def share(self, low: float, high: float) -> float:
-        """Share of voxels from one value to another."""
+        """Return the share of voxels from one value to another."""
         inside = (self.values >= low) & (self.values <= high)
         return float(self.counts[inside].sum() / self.counts.sum())
 
     def peak(self, low: float, high: float, *, width: int = 15) -> float | None:
-        """Most frequent value within a range, counts averaged over `width` values; None where nothing lies there."""
+        """Return the most frequent value in a range, counts averaged over `width` values; None where it is empty."""
         inside = (self.values >= low) & (self.values <= high)
         if not self.counts[inside].any():
             return None
@@ -62,7 +87,7 @@ class Histogram:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was found in an image.
+    """Properties of an image.
 
     Attributes
     ----------
@@ -96,7 +121,7 @@ class Inspection:
     metal_mm: tuple[float, float, float] | None
 
     def sentences(self) -> list[str]:
-        """What a person should know, a sentence each."""
+        """Describe the image for users."""
         size = by(np.subtract(self.high_mm, self.low_mm), ".4g")
         found = [
             f"{self.source}: {by(self.shape)} voxels of {by(self.spacing_mm, '.4g')} mm, {size} mm in all "
@@ -120,11 +145,11 @@ class Inspection:
 
 
 def histogram_of(values: NDArray[np.number]) -> Histogram:
-    """Counts of the values, rounded to whole ones."""
+    """Count the values, rounded to whole ones."""
     if np.issubdtype(values.dtype, np.integer):
-        low, high = max(int(values.min()), _LOWEST), min(int(values.max()), _HIGHEST)
-        clipped = values if (int(values.min()), int(values.max())) == (low, high) else np.clip(values, low, high)
-        whole = clipped.astype(np.int32).ravel(order="K")
+        low = max(int(values.min()), _LOWEST)
+        high = min(int(values.max()), _HIGHEST)
+        whole = np.clip(values, low, high).astype(np.int32).ravel(order="K")
     else:
         whole = np.rint(np.clip(values, _LOWEST, _HIGHEST)).astype(np.int32).ravel(order="K")
         low = int(whole.min())
@@ -133,12 +158,14 @@ def histogram_of(values: NDArray[np.number]) -> Histogram:
 
 
 def inspect(image: Image) -> Inspection:
-    """Look into an image volume of LPS axes."""
-    values, spacing = image.values, np.array(image.spacing_mm)
+    """Inspect an image volume of LPS axes."""
+    values = image.values
+    spacing = np.array(image.spacing_mm)
     histogram = histogram_of(values)
-    air, soft = histogram.share(*AIR_HU), histogram.share(*SOFT_HU)
-    hounsfield = histogram.first < -100 and (air > _LEAST_SHARE or soft > 0.01)
-    metal_mm3, metal_mm = 0.0, None
+    is_tissue = histogram.share(*AIR_HU) > _LEAST_SHARE or histogram.share(*SOFT_HU) > 0.01
+    hounsfield = histogram.first < -100 and is_tissue
+    metal_mm3 = 0.0
+    metal_mm = None
     if hounsfield and int(histogram.counts[histogram.values > METAL_HU].sum()) >= _LEAST_METAL:
         at = np.argwhere(values > METAL_HU)
         metal_mm3 = float(len(at) * spacing.prod())
@@ -161,13 +188,85 @@ def inspect(image: Image) -> Inspection:
 
 
 def _noise(values: NDArray[np.number]) -> float | None:
-    """Standard deviation of soft tissue between neighbours in a slice, robust against edges."""
+    """Estimate the standard deviation of soft tissue between neighbours in a slice, robust against edges."""
     step = max(round(values.size / _MOST_SAMPLED), 1)
     slices = values[:, :, ::step].astype(np.float32)
     low, high = SOFT_HU
-    one, next_to_it = slices[:-1], slices[1:]
-    inside = (one > low) & (one < high) & (next_to_it > low) & (next_to_it < high)
-    found = (next_to_it - one)[inside]
+    soft = (slices > low) & (slices < high)
+    found = np.diff(slices, axis=0)[soft[:-1] & soft[1:]]
     if len(found) < 1000:
         return None
     return float(np.median(np.abs(found)) / (_MAD * np.sqrt(2.0)))
+
+
+def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[float, str]:
+    """Suggest a threshold of bone by Otsu's criterion between soft tissue and bone, with a sentence.
+
+    Of Hounsfield units only values above soft tissue count, and the threshold is kept within 150 to 600 HU.
+    """
+    values = histogram.values.astype(np.float64)
+    counts = histogram.counts.astype(np.float64)
+    if not is_hounsfield:
+        level = _otsu(values, counts)
+        return level, f"threshold {level:g} by Otsu's criterion over all values"
+    soft = histogram.peak(*_SOFT_PEAK_HU)
+    if soft is None:
+        return 226.0, "threshold 226 HU, as common programs have it: no soft tissue was found"
+    part = (values > soft) & (values < _MOST_HU)
+    level = min(max(round(_otsu(values[part], counts[part])), LOWEST_HU), HIGHEST_HU)
+    return level, f"threshold {level:g} HU by Otsu's criterion above soft tissue at {soft:g} HU"
+
+
+def _otsu(values: Array, counts: Array) -> float:
+    """Return the value that parts a histogram with the largest variance between the parts (Otsu 1979).
+
+    All empty bins between two parts give that variance. The value lies in the middle between the parts.
+    """
+    weight = np.cumsum(counts)
+    mass = np.cumsum(counts * values)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = (mass[-1] * weight / weight[-1] - mass) ** 2 / (weight * (weight[-1] - weight))
+    between = np.where(np.isfinite(between), between, -1.0)
+    best = np.flatnonzero(between[:-1] >= (1.0 - _EQUAL) * between.max())
+    if len(best) < 2:
+        return float(values[int(between.argmax())])
+    return float(0.5 * (values[best[0]] + values[best[-1] + 1]))
+
+
+def bone_label_note(image: Image, mask: Flags, name: str) -> str:
+    """Return a warning where most of a bone's label lies below 150 HU, else an empty text.
+
+    Parameters
+    ----------
+    image
+        CT [HU].
+    mask
+        Voxels of the label, shape of the image, at least one.
+    name
+        Name of the label.
+
+    Raises
+    ------
+    InputError
+        If less than a tenth of the label is above 150 HU: it does not lie on bone.
+    """
+    values = image.values[mask]
+    share = float(np.count_nonzero(values > LOWEST_HU) / len(values))
+    found = f"{share:.0%} of its voxels above {LOWEST_HU:g} HU in {image.source}, median {np.median(values):.0f} HU"
+    if share < _NO_BONE:
+        raise InputError(f"region must be a label on bone, got {name} with {found}: {_CAUSES}")
+    if share < _LITTLE_BONE:
+        return f"warning: most of label {name} is not bone, {found}. If that is not marrow, {_CAUSES}."
+    return ""
+
+
+def soft_label_note(image: Image, mask: Flags, name: str) -> str:
+    """Return a warning where the median under a soft organ's label is not that of soft tissue, else an empty text.
+
+    Parameters are those of `bone_label_note`.
+    """
+    low, high = _SOFT_ORGAN_HU
+    middle = float(np.median(image.values[mask]))
+    if low <= middle <= high:
+        return ""
+    return f"warning: label {name} does not lie on soft tissue, its median is {middle:.0f} HU: {_CAUSES}."

@@ -1,8 +1,8 @@
-"""Label volumes with the names of their labels: in one file, or one file a label, as programs write them."""
+"""Label volumes with the names of their labels: in one file, or one file for each label, as programs write them."""
 
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Flags
 from meshes.base.errors import InputError, by, is_folder, require_file
 from meshes.base.text_tables import read_toml
 from meshes.images.data import first_bytes
@@ -18,10 +19,8 @@ from meshes.images.frame import Image
 from meshes.images.itk import header_lines
 from meshes.images.reading import read_image
 
-__all__ = ["LABEL_SETS", "Labels", "header_names", "label_sets", "on_grid_of", "read_labels"]
+__all__ = ["Labels", "header_names", "label_sets", "on_grid_of", "read_labels"]
 
-LABEL_SETS = ("totalsegmentator", "dentalsegmentator", "verse")
-"""Programs whose numbers have known names, see ``label_sets.toml``."""
 _MOST_LABELS = 255
 _HEADER_BYTES = 1 << 20
 _XML_NAME = re.compile(r'<Label Key="(\d+)"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>', re.DOTALL)
@@ -47,7 +46,7 @@ class Labels:
     names: Mapping[int, str]
 
     def number(self, name: str) -> int:
-        """Number of a label.
+        """Return the number of a label.
 
         Raises
         ------
@@ -63,17 +62,17 @@ class Labels:
             raise InputError(f"label must be one that {self.image.source} holds, got {name}: use one of {shown}{more}")
         return found[0]
 
-    def mask(self, name: str) -> NDArray[np.bool_]:
-        """Where a label is, or all that share its name, shape of the image; raises as `number`."""
+    def mask(self, name: str) -> Flags:
+        """Return the voxels of a label, or of all that share its name, shape of the image; raises as `number`."""
         one = self.number(name)
         alike = [number for number, each in self.names.items() if each == self.names[one]]
-        found: NDArray[np.bool_] = self.image.values == one if len(alike) == 1 else np.isin(self.image.values, alike)
+        found: Flags = self.image.values == one if len(alike) == 1 else np.isin(self.image.values, alike)
         return found
 
 
 @cache
 def label_sets() -> dict[str, tuple[str, ...]]:
-    """Names of labels by the program that writes them, in the order of their numbers from 1."""
+    """Return the names of labels by the program that writes them, in the order of their numbers from 1."""
     table = tomllib.loads(files("meshes.ct").joinpath("label_sets.toml").read_text("utf-8"))
     return {name: tuple(entry["names"]) for name, entry in table.items()}
 
@@ -87,7 +86,7 @@ def read_labels(path: str | Path, *, names: str | Path | None = None, spacing_mm
         Image whose values are labels, names in its header or given (`.seg.nrrd` of 3D Slicer, `.nii.gz`); or a folder
         of masks, one a file, each named as its label.
     names
-        One of `LABEL_SETS`, or a TOML file of a table ``[labels]`` that gives each name its number; None: those in the
+        One of `label_sets`, or a TOML file of a table ``[labels]`` that gives each name its number; None: those in the
         file's own header, else ``label 1`` and so on.
     spacing_mm
         Distance between neighbours [mm] of a file that does not state it.
@@ -119,10 +118,11 @@ def read_labels(path: str | Path, *, names: str | Path | None = None, spacing_mm
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
-    """The labels on the voxels of another image: as they are where the grids agree, else the nearest, with a note."""
+    """Return labels on the voxels of another image: unchanged where the grids agree, else the nearest, with a note."""
     from scipy.ndimage import affine_transform
 
-    one, other = labels.image, image
+    one = labels.image
+    other = image
     scale = np.array(other.spacing_mm) / one.spacing_mm
     shift = (np.array(other.origin_mm) - one.origin_mm) / one.spacing_mm
     if (
@@ -132,8 +132,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     ):
         return labels
     values = affine_transform(one.values, scale, shift, other.values.shape, order=0, mode="constant", cval=0)
-    lost = int(np.count_nonzero(one.values)) > 0 and not values.any()
-    if lost:
+    if one.values.any() and not values.any():
         raise InputError(
             f"labels must lie where the image does, got {one.source} outside {other.source}: give those of this image"
         )
@@ -147,7 +146,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
 
 
 def _of_masks(folder: Path) -> Labels:
-    """Labels of a folder of masks; where two overlap the later name has the voxel, with a note."""
+    """Read a folder of masks; where two overlap the later name has the voxel, with a note."""
     masks = sorted(file for file in folder.iterdir() if file.name.lower().endswith((".nii", ".nii.gz", ".nrrd")))
     if not masks:
         raise InputError(
@@ -196,8 +195,9 @@ def _shared(names: Mapping[int, str], source: str) -> list[str]:
 
 
 def _whole(image: Image) -> NDArray[np.integer]:
-    """The values as the smallest whole numbers that hold them."""
-    low, high = float(image.values.min()), float(image.values.max())
+    """Return the values as bytes."""
+    low = float(image.values.min())
+    high = float(image.values.max())
     if low < 0 or high > _MOST_LABELS or not np.array_equal(image.values, np.rint(image.values)):
         raise InputError(
             f"labels must be whole numbers from 0 to {_MOST_LABELS}, got {low:g} to {high:g} in {image.source}: give "
@@ -207,13 +207,13 @@ def _whole(image: Image) -> NDArray[np.integer]:
 
 
 def _given(names: str | Path) -> dict[int, str]:
-    """Names by number of a known program or of a TOML file."""
+    """Return the names by number of a known program or of a TOML file."""
     if str(names) in label_sets():
         return dict(enumerate(label_sets()[str(names)], start=1))
     file = Path(names)
     if file.suffix != ".toml":
         raise InputError(
-            f"names must be one of {', '.join(LABEL_SETS)} or a TOML file, got {names}: write [labels] with a line "
+            f"names must be one of {', '.join(label_sets())} or a TOML file, got {names}: write [labels] with a line "
             "such as cortical = 1"
         )
     require_file(file, "names of labels")
@@ -227,22 +227,18 @@ def _given(names: str | Path) -> dict[int, str]:
             f"names must be in one table [labels], got {', '.join(table) or 'nothing'} in {file.name}: write [labels] "
             "with a line such as cortical = 1"
         )
-    return dict(_numbered(labels, file))
-
-
-def _numbered(labels: Mapping[str, object], file: Path) -> Iterable[tuple[int, str]]:
-    seen: dict[int, str] = {}
+    names_by_number: dict[int, str] = {}
     for name, number in labels.items():
         if not isinstance(number, int) or isinstance(number, bool) or not 1 <= number <= _MOST_LABELS:
-            raise InputError(f"{name} must be a label from 1 to {_MOST_LABELS}, got {number} in {file.name}: mend it")
-        if number in seen:
-            raise InputError(f"{name} must have a label of its own, got {number} of {seen[number]} too in {file.name}")
-        seen[number] = name
-        yield number, name
+            raise InputError(f"{name} must be a label from 1 to {_MOST_LABELS}, got {number} in {file.name}: fix it")
+        other = names_by_number.setdefault(number, name)
+        if other != name:
+            raise InputError(f"{name} must have a label of its own, got {number} of {other} too in {file.name}")
+    return names_by_number
 
 
 def header_names(path: Path) -> dict[int, str]:
-    """Names that an image's own header gives its labels; none where it gives none."""
+    """Return the names that an image's own header gives its labels."""
     name = path.name.lower()
     if name.endswith((".nii", ".nii.gz")):
         text = first_bytes(path, _HEADER_BYTES).decode("latin-1")

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from meshes.base.errors import InputError, require_range
-from meshes.ct.calibration import internal_calibration
+from meshes.ct.calibration import calibrate
 from meshes.ct.density import ASH_SHARE, ASH_SHARE_SD, CT_DENSITY, DensityLaw, scanner_law
-from meshes.ct.labels import Labels
 from meshes.images.frame import Image
 
 __all__ = ["DENSITY_LAWS", "density_law", "phantom_law", "rods_law"]
@@ -43,8 +42,8 @@ line of Dragomir-Daescu 2011 amounts to; 3 % for HA is what ICRU 44's calcium le
 _KIND = "name a phantom's equivalent as apparent, ash, HA or K2HPO4"
 
 
-def density_law(text: str, image: Image, *, labels: Labels | None = None) -> DensityLaw:
-    """Law that ``--density`` asks for.
+def density_law(text: str, image: Image) -> DensityLaw:
+    """Return the law that ``--density`` asks for.
 
     Parameters
     ----------
@@ -54,8 +53,6 @@ def density_law(text: str, image: Image, *, labels: Labels | None = None) -> Den
         image's own air, fat, muscle and cortex.
     image
         The CT [Hounsfield units].
-    labels
-        Labels on the image's grid that name muscles or vessels, for ``internal``.
 
     Raises
     ------
@@ -64,14 +61,15 @@ def density_law(text: str, image: Image, *, labels: Labels | None = None) -> Den
     """
     text = text.strip()
     if text.lower() == "internal":
-        return internal_calibration(image, labels=labels)
+        return calibrate(image).law
     if text.lower() in DENSITY_LAWS:
         return DENSITY_LAWS[text.lower()]
     kind, colon, numbers = text.partition(":")
     parts = [part.strip() for part in numbers.split(",")]
     if kind.lower() == "line" and colon and len(parts) in (2, 3):
         try:
-            slope, offset = float(parts[0]), float(parts[1])
+            slope = float(parts[0])
+            offset = float(parts[1])
         except ValueError:
             slope = math.nan
         if math.isfinite(slope):
@@ -90,7 +88,7 @@ def phantom_law(
     covariance: tuple[float, float, float] = (0.0, 0.0, 0.0),
     residual_sd_mg_cm3: float = 0.0,
 ) -> DensityLaw:
-    """Law of a scan with a density phantom in it.
+    """Return the law of a scan with a density phantom in it.
 
     Parameters
     ----------
@@ -132,7 +130,7 @@ def rods_law(
     equivalent: str,
     sd_HU: Sequence[float] | None = None,
 ) -> DensityLaw:
-    """Law of the line through a phantom's rods, by weighted least squares.
+    """Fit the law of a phantom's rods by weighted least squares.
 
     Parameters
     ----------
@@ -148,7 +146,8 @@ def rods_law(
     InputError
         If the rods are too few, not finite, or of one value.
     """
-    density, hu = np.asarray(densities_mg_cm3, dtype=np.float64), np.asarray(mean_HU, dtype=np.float64)
+    density = np.asarray(densities_mg_cm3, dtype=np.float64)
+    hu = np.asarray(mean_HU, dtype=np.float64)
     error = np.ones(len(hu)) if sd_HU is None else np.asarray(sd_HU, dtype=np.float64)
     if not len(density) == len(hu) == len(error) >= 3:
         counts = f"{len(density)} densities, {len(hu)} means and {len(error)} errors"
@@ -158,11 +157,8 @@ def rods_law(
             f"rods must have finite densities, means that differ and errors above 0, got means {hu.min():g} to "
             f"{hu.max():g} HU: measure rods of several densities"
         )
-    terms = np.stack([hu, np.ones_like(hu)], axis=1) / error[:, None]
-    inverse = np.linalg.inv(terms.T @ terms)
-    slope, offset = inverse @ terms.T @ (density / error)
+    (slope, offset), covariance = np.polyfit(hu, density, 1, w=1.0 / error, cov=True)
     away = density - slope * hu - offset
-    covariance = inverse * float(np.sum((away / error) ** 2)) / (len(hu) - 2)
     return phantom_law(
         float(slope),
         float(offset),

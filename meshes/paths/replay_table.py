@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 from meshes.base.whole_file import whole_file
 from meshes.paths.toolpath import Toolpath
@@ -21,7 +21,8 @@ __all__ = ["POSE_COLUMNS", "ReplayTable", "to_replay"]
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
 _TURN_RAD_S = 0.5 * np.pi
 """Fastest turn of the tool [rad/s]: a hand turns a drill through a right angle in about a second."""
-_SAME_MM, _SAME_RAD = 1e-6, 1e-6
+_SAME_MM = 1e-6
+_SAME_RAD = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +39,9 @@ class ReplayTable:
         Orientations (x, y, z, w), shape (n, 4); (0, 0, 0, 1) points the tool along -z.
     """
 
-    times_s: NDArray[np.float64]
-    tips_mm: NDArray[np.float64]
-    quaternions: NDArray[np.float64]
+    times_s: Array
+    tips_mm: Array
+    quaternions: Array
 
     def write(self, path: Path) -> None:
         """Write the CSV that ``motion.kind = "replay"`` reads."""
@@ -86,7 +87,8 @@ def to_replay(
     speeds = np.where(np.isnan(given), rapid, given)
     if clearance_mm > 0.0:
         tips = np.vstack([tips[0] + clearance_mm * axes[0], tips])
-        axes, speeds = np.vstack([axes[:1], axes]), np.concatenate([[rapid, rapid], speeds[1:]])
+        axes = np.vstack([axes[:1], axes])
+        speeds = np.concatenate([[rapid, rapid], speeds[1:]])
     length = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     turn = np.arccos(np.clip(np.einsum("ij,ij->i", axes[1:], axes[:-1]), -1.0, 1.0))
     moved = np.concatenate([[True], (length > _SAME_MM) | (turn > _SAME_RAD)])
@@ -98,7 +100,7 @@ def to_replay(
     return ReplayTable(times[moved], tips[moved], turns.as_quat())
 
 
-def _towards(axis: NDArray[np.float64]) -> "Rotation":
+def _towards(axis: Array) -> "Rotation":
     """Shortest turn that brings z to a unit vector."""
     from scipy.spatial.transform import Rotation
 

@@ -1,41 +1,100 @@
-"""A tool's path from a file: CSV, a curve of 3D Slicer, or G-code, in the frame of a patient."""
+"""Path of a tool from a file, in the frame of a patient, and its depth below a bone's surface.
+
+A path is a CSV table, a curve of 3D Slicer, or G-code. Of G-code (RS-274) the straight moves of a three-axis tool are
+read: G0 (rapid), G1 (at the feed F), G20 and G21 (inches, mm), G90 and G91 (absolute, relative), X, Y, Z, F [units a
+minute], line numbers N, comments in brackets and after a semicolon, and lines of %. Everything else is refused, because
+skipping it would change the path.
+"""
 
 import csv
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_file
 from meshes.base.text_numbers import number_in, require_distinct_columns
-from meshes.paths.gcode import read_gcode
 from meshes.surfaces.markups import TO_LPS, read_curve
+from meshes.surfaces.surface import Surface
+from meshes.voxels.column_crossings import inside_scattered
+from meshes.voxels.mesh_sampling import triangle_distance
 
-__all__ = ["GCODE", "Toolpath", "read_toolpath"]
+__all__ = ["GCODE", "PathDepth", "Toolpath", "depth_along", "read_toolpath"]
 
 GCODE = (".gcode", ".nc", ".ngc", ".tap", ".cnc")
-_PLACE, _FEED, _AXIS = ("x_mm", "y_mm", "z_mm"), "feed_mm_s", ("axis_x", "axis_y", "axis_z")
+_PLACE = ("x_mm", "y_mm", "z_mm")
+_FEED = "feed_mm_s"
+_AXIS = ("axis_x", "axis_y", "axis_z")
+_COLUMNS = (*_PLACE, _FEED, *_AXIS)
+_WORD = re.compile(r"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
+_COMMENT = re.compile(r"\([^()]*\)|;.*")
+_MODES = {0.0: "motion", 1.0: "motion", 20.0: "unit", 21.0: "unit", 90.0: "reach", 91.0: "reach"}
+_INCH_MM = 25.4
+_STEP_MM = 0.5
+"""Distance of points at which the depth is evaluated."""
+_MOST_POINTS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class Toolpath:
-    """Points that a tool's tip goes through on straight lines.
+    """Points that a tool's tip passes on straight lines.
 
     Attributes
     ----------
     points_mm
         Points [mm, LPS], shape (n, 3).
     feeds_mm_s
-        Speed to each point from the one before it [mm/s], shape (n,), NaN where the tool goes there rapidly; None where
-        the file states none. The first counts for nothing.
+        Speed to each point from the one before it [mm/s], shape (n,), NaN for rapid moves; None where the file states
+        none. The first is not used.
     axes
         Unit vectors from the tip towards the shaft at each point, LPS, shape (n, 3); None where the file states none.
     """
 
-    points_mm: NDArray[np.float64]
-    feeds_mm_s: NDArray[np.float64] | None = None
-    axes: NDArray[np.float64] | None = None
+    points_mm: Array
+    feeds_mm_s: Array | None = None
+    axes: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PathDepth:
+    """Depth along a path.
+
+    Attributes
+    ----------
+    points_mm
+        The path's points and others between them, at most 0.5 mm apart [mm, LPS], shape (n, 3).
+    depth_mm
+        Distance of each from the bone's surface [mm], shape (n,), positive inside the bone and negative outside.
+    """
+
+    points_mm: Array
+    depth_mm: Array
+
+    @property
+    def deepest_mm(self) -> float:
+        """Largest depth [mm]; negative where the path never enters the bone."""
+        return float(self.depth_mm.max())
+
+    @property
+    def share_inside(self) -> float:
+        """Share of the path's points in the bone."""
+        return float((self.depth_mm > 0.0).mean())
+
+
+def depth_along(path: Toolpath, surface: Surface) -> PathDepth:
+    """Compute the depth of a path's tip below a bone's surface, before anything is cut."""
+    corners = path.points_mm
+    length = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    step = max(_STEP_MM, float(length.sum()) / _MOST_POINTS)
+    counts = np.maximum(np.ceil(length / step), 1.0).astype(int).tolist()
+    moves = zip(corners[:-1], corners[1:], counts, strict=True)
+    parts = [np.linspace(first, last, count, endpoint=False) for first, last, count in moves]
+    points = np.vstack([*parts, corners[-1:]])
+    distance = np.abs(triangle_distance(surface.vertices_m, surface.faces, 1e-3 * points))
+    inside = inside_scattered(surface.vertices_m, surface.faces, 1e-3 * points)
+    return PathDepth(points, 1e3 * np.where(inside, distance, -distance))
 
 
 def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
@@ -44,8 +103,8 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     Parameters
     ----------
     path
-        CSV with the columns x_mm, y_mm, z_mm and, where wanted, feed_mm_s and axis_x, axis_y, axis_z; a curve as
-        ``.mrk.json`` or points as ``.fcsv``; or G-code (`meshes.paths.gcode`).
+        CSV with the columns x_mm, y_mm, z_mm and, optionally, feed_mm_s and axis_x, axis_y, axis_z; a curve as
+        ``.mrk.json`` or points as ``.fcsv``; or G-code.
     coordinates
         ``LPS`` or ``RAS``: the frame of the numbers in CSV and G-code. Markups state their own.
 
@@ -59,65 +118,60 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     if coordinates not in TO_LPS:
         raise InputError(f"coordinates must be LPS or RAS, got {coordinates}: look which of them the file was made in")
     require_file(file, "a path")
-    name, frame = file.name.lower(), TO_LPS[coordinates]
-    if name.endswith((".json", ".fcsv")):
+    suffix = file.suffix.lower()
+    if suffix in (".json", ".fcsv"):
         return Toolpath(read_curve(file))
-    if file.suffix.lower() in GCODE:
-        points, feeds = read_gcode(file)
-        return Toolpath(points * frame, feeds)
-    if file.suffix.lower() == ".csv":
-        points, given, axes = _read_table(file)
-        return Toolpath(points * frame, given, None if axes is None else axes * frame)
-    raise InputError(
-        f"path must be a .csv, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)}), got {file}: rename it"
-    )
-
-
-def _read_table(file: Path) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, NDArray[np.float64] | None]:
-    """Points, feeds and axes of a CSV file, in its frame."""
+    readers = {".csv": _read_table, **dict.fromkeys(GCODE, _read_gcode)}
+    if suffix not in readers:
+        raise InputError(
+            f"path must be a .csv, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)}), got {file}: rename it"
+        )
     try:
-        with file.open(newline="", encoding="utf-8-sig") as opened:
-            reader = csv.DictReader(opened, skipinitialspace=True)
-            names = tuple(name.strip() for name in reader.fieldnames or ())
-            reader.fieldnames = names
-            require_distinct_columns(names, "path", file)
-            _check_columns(names, file)
-            used = [name for name in (*_PLACE, _FEED, *_AXIS) if name in names]
-            rows = [[_number(row[name], name, reader.line_num, file) for name in used] for row in reader]
+        read = readers[suffix](file)
     except (UnicodeDecodeError, csv.Error):
-        raise InputError(f"path must be a CSV table, got other data in {file}: export it as text") from None
-    if len(rows) < 2:
-        raise InputError(f"path must have at least two points, got {len(rows)} in {file}: add some")
-    table = np.array(rows)
-    column = {name: table[:, number] for number, name in enumerate(used)}
-    points = np.column_stack([column[name] for name in _PLACE])
+        raise InputError(f"path must be a CSV table or G-code, got other data in {file}: export it as text") from None
+    if len(read.points_mm) < 2:
+        raise InputError(f"path must have at least two points, got {len(read.points_mm)} in {file}: add some")
+    frame = TO_LPS[coordinates]
+    return Toolpath(read.points_mm * frame, read.feeds_mm_s, None if read.axes is None else read.axes * frame)
+
+
+def _read_table(file: Path) -> Toolpath:
+    """Read a CSV file, in its frame."""
+    with file.open(newline="", encoding="utf-8-sig") as opened:
+        reader = csv.DictReader(opened, skipinitialspace=True)
+        names = tuple(name.strip() for name in reader.fieldnames or ())
+        reader.fieldnames = names
+        require_distinct_columns(names, "path", file)
+        _check_columns(names, file)
+        rows = [[_number(row[name], name, reader.line_num, file) for name in names] for row in reader]
+    column = dict(zip(names, np.array(rows).reshape(-1, len(names)).T, strict=True))
     feeds = column.get(_FEED)
     if feeds is not None and (feeds[1:] <= 0.0).any():
         row = 1 + int(np.argmax(feeds[1:] <= 0.0))
         raise InputError(
             f"{_FEED} must be positive, got {feeds[row]:g} at point {row + 1} of {file}: use for example 2"
         )
-    if _AXIS[0] not in column:
-        return points, feeds, None
-    axes = np.column_stack([column[name] for name in _AXIS])
-    length = np.linalg.norm(axes, axis=1)
-    if (length < 1e-6).any():
-        raise InputError(f"axis must not be zero, got it at point {int(np.argmin(length)) + 1} of {file}: mend it")
-    return points, feeds, axes / length[:, None]
+    axes = None
+    if _AXIS[0] in column:
+        axes = np.column_stack([column[name] for name in _AXIS])
+        length = np.linalg.norm(axes, axis=1)
+        if (length < 1e-6).any():
+            raise InputError(f"axis must not be zero, got it at point {int(np.argmin(length)) + 1} of {file}: fix it")
+        axes = axes / length[:, None]
+    return Toolpath(np.column_stack([column[name] for name in _PLACE]), feeds, axes)
 
 
 def _check_columns(names: tuple[str, ...], file: Path) -> None:
-    """Refuse missing and unknown columns."""
-    missing = [name for name in _PLACE if name not in names]
-    if any(name in names for name in _AXIS):
-        missing += [name for name in _AXIS if name not in names]
+    """Raise for missing and unknown columns."""
+    needed = (*_PLACE, *_AXIS) if any(name in names for name in _AXIS) else _PLACE
+    missing = [name for name in needed if name not in names]
     if missing:
         raise InputError(f"path must have the columns {', '.join(missing)}, got {', '.join(names)} in {file}: add them")
-    unknown = [name for name in names if name not in (*_PLACE, _FEED, *_AXIS)]
+    unknown = [name for name in names if name not in _COLUMNS]
     if unknown:
         raise InputError(
-            f"path must have no columns but {', '.join((*_PLACE, _FEED, *_AXIS))}, got {', '.join(unknown)} in {file}: "
-            "drop them"
+            f"path must have no columns but {', '.join(_COLUMNS)}, got {', '.join(unknown)} in {file}: drop them"
         )
 
 
@@ -128,6 +182,77 @@ def _number(text: str | None, name: str, line: int, file: Path) -> float:
         value = float("nan")
     if not np.isfinite(value):
         raise InputError(
-            f"path must hold finite numbers, got {text or 'nothing'} for {name} in line {line} of {file}: mend it"
+            f"path must hold finite numbers, got {text or 'nothing'} for {name} in line {line} of {file}: fix it"
         )
     return value
+
+
+def _read_gcode(file: Path) -> Toolpath:
+    """Read G-code, in the frame of the file."""
+    machine = _Machine(file)
+    for number, line in enumerate(file.read_text("utf-8").splitlines(), start=1):
+        machine.read(line, number)
+    return Toolpath(np.array(machine.points).reshape(-1, 3), np.array(machine.feeds))
+
+
+class _Machine:
+    """State of a controller between lines."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self.points: list[list[float]] = []
+        self.feeds: list[float] = []
+        self._modes = {"motion": -1.0, "unit": 21.0, "reach": 90.0}
+        self._place: dict[str, float] = {}
+        self._feed_mm_s = 0.0
+
+    def read(self, line: str, number: int) -> None:
+        """Execute one line."""
+        text = _COMMENT.sub("", line).strip()
+        if not text or text == "%":
+            return
+        rest = _WORD.sub("", text).strip()
+        if rest:
+            raise self._refused(f"words of a letter and a number, got {rest.split()[0]}", number)
+        target: dict[str, float] = {}
+        feed: float | None = None
+        for letter, digits in _WORD.findall(text.upper()):
+            value = float(digits)
+            if letter == "G" and value in _MODES:
+                self._modes[_MODES[value]] = value
+            elif letter in "XYZ":
+                if letter in target:
+                    raise self._refused(f"one {letter} a line, got two", number)
+                target[letter] = value
+            elif letter == "F":
+                feed = value
+            elif letter != "N":
+                raise self._refused(f"only G0, G1, G20, G21, G90, G91, X, Y, Z and F, got {letter}{value:g}", number)
+        unit = _INCH_MM if self._modes["unit"] == 20.0 else 1.0
+        if feed is not None:
+            if feed <= 0.0:
+                raise self._refused(f"a positive F, got F{feed:g}", number)
+            self._feed_mm_s = feed * unit / 60.0
+        if target:
+            self._move({letter: unit * value for letter, value in target.items()}, number)
+
+    def _move(self, target_mm: dict[str, float], number: int) -> None:
+        """Move along the axes that a line names."""
+        if self._modes["motion"] < 0.0:
+            raise self._refused("G0 or G1 before the first move, got none", number)
+        rapid = self._modes["motion"] == 0.0
+        if not rapid and self._feed_mm_s == 0.0:
+            raise self._refused("F before the first G1, got none", number)
+        if self._modes["reach"] == 91.0:
+            if not target_mm.keys() <= self._place.keys():
+                raise self._refused("a first point in G90 before G91, got none", number)
+            target_mm = {letter: self._place[letter] + step for letter, step in target_mm.items()}
+        self._place |= target_mm
+        missing = [letter for letter in "XYZ" if letter not in self._place]
+        if missing:
+            raise self._refused(f"X, Y and Z in the first move, got none of {', '.join(missing)}", number)
+        self.points.append([self._place[letter] for letter in "XYZ"])
+        self.feeds.append(float("nan") if rapid else self._feed_mm_s)
+
+    def _refused(self, wanted: str, line: int) -> InputError:
+        return InputError(f"path must hold {wanted} in line {line} of {self._file}: fix that line")

@@ -1,4 +1,12 @@
-"""Labels of a tooth in a site's frame, and voxels made of them by sub-samples."""
+"""Labels of a tooth in a site's frame, and voxels made of them: by sub-samples, or by interpolated shares.
+
+`resampled` counts the labels at sub-samples of each voxel, quickly over a whole tooth. `LabelShares` is one function of
+the file, whatever grid samples it: each layer's voxels are spread by the kernel of `meshes.images.label_spread` with a
+standard deviation of 1.5 voxels, and interpolated. Labels of planes and balls give their surface back to 0.08 voxels
+rms, without bias. A layer of two voxels becomes a fifth of a voxel thicker on either side.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -8,22 +16,33 @@ from itertools import product
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Floats, Singles, lattice
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
-from meshes.tooth.label_image import EMPTY
-from meshes.tooth.layers import LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS
+from meshes.images.label_spread import spread_labels
+from meshes.shapes.plane_cube import cube_fraction
+from meshes.tooth.layers import EMPTY, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS
 from meshes.voxels.grid import Grid
 from meshes.voxels.volume import FULL, VoxelVolume
 
-__all__ = ["MOST_SAMPLES", "PlacedLabels", "resampled"]
+__all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
 
 MOST_SAMPLES = 6
 """Sub-samples along the edge of a voxel, at most: the 216 of a voxel still fit a byte."""
+SPREAD = 1.5
+"""Standard deviation of the Gaussian [voxel]: with 1.0 planes are off by 0.10 voxels rms, with 2.0 thin layers more."""
+REACH = 8
+"""Voxels around a region that its shares depend on: four deviations, one for the Laplacian and one to interpolate."""
 _SLAB = 8
 _THREADS = 2
-_DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.uint16)
+_POINTS_AT_ONCE = 1 << 18
+_FARTHEST = 1.0
+"""Distance [deviations] up to which the share of a plane is monotonic, so that it gives the distance."""
+_SURELY = 0.49
+"""A share that differs from a half by more has no surface within a voxel."""
+_HALF_DIAGONAL = 0.5 * 3.0**0.5
+_DENSITY_KG_M3 = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.uint16)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +61,14 @@ class PlacedLabels:
         Site's origin [m] from there, and its axes as columns in the file's frame.
     """
 
-    layer: NDArray[np.uint8]
-    spacing: NDArray[np.float64]
-    first_m: NDArray[np.float64]
-    origin: NDArray[np.float64]
-    rotation: NDArray[np.float64]
+    layer: Bytes
+    spacing: Array
+    first_m: Array
+    origin: Array
+    rotation: Array
 
-    def on_plane(self, x: float, y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Layer at the points of a plane of the site frame, shape (ny, nz); a margin of empty voxels is `EMPTY`."""
+    def on_plane(self, x: float, y: Array, z: Array) -> Bytes:
+        """Return the layer at the points of a plane of the site frame, shape (ny, nz)."""
         number = np.zeros((len(y), len(z)), dtype=np.int32)
         for axis, count in enumerate(self.layer.shape):
             scale = self.rotation[axis] / self.spacing[axis]
@@ -62,20 +81,19 @@ class PlacedLabels:
 
     @property
     def placement(self) -> Placement:
-        """Where the site lies in the file."""
+        """Place of the site in the file."""
         return Placement(1e3 * (self.first_m + self.origin), self.rotation)
 
-    def around(
-        self, corners: NDArray[np.float64], reach: int
-    ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
-        """Labels of the voxels in a box [m] of the site frame and `reach` voxels beyond, and where a point is in them.
+    def around(self, corners: Array, reach: int) -> tuple[Bytes, Array, Array]:
+        """Return the labels in a box [m] of the site frame and `reach` voxels beyond, and the index of points in them.
 
         Returns
         -------
         A copy of the labels; ``start``, shape (3,), and ``turn``, shape (3, 3), of a point's index [voxel] among them,
         ``start + turn @ point``.
         """
-        turn, start = self.rotation / self.spacing[:, None], self.origin / self.spacing
+        turn = self.rotation / self.spacing[:, None]
+        start = self.origin / self.spacing
         at = start + np.array(list(product(*np.array(corners).T))) @ turn.T
         low = np.clip(np.floor(at.min(axis=0)).astype(int) - reach, 0, np.array(self.layer.shape) - 1)
         high = np.clip(np.ceil(at.max(axis=0)).astype(int) + reach + 1, low + 1, self.layer.shape)
@@ -83,7 +101,7 @@ class PlacedLabels:
         return self.layer[kept].copy(), start - low, turn
 
     @cached_property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Array:
         """Lowest and highest corner [m] of the tooth in the site frame, shape (2, 3)."""
         steps = [max(n // 160, 1) for n in self.layer.shape]
         index = np.argwhere(self.layer[:: steps[0], :: steps[1], :: steps[2]] != EMPTY) * steps
@@ -94,13 +112,13 @@ class PlacedLabels:
 
 def resampled(
     placed: PlacedLabels,
-    corners: NDArray[np.float64],
+    corners: Array,
     size: float,
     *,
     most_samples: int = MOST_SAMPLES,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Voxels of edge `size` [m] on whole multiples of it between two corners [m], cropped to the tooth.
+    """Make voxels of edge `size` [m] on whole multiples of it between two corners [m], cropped to the tooth.
 
     Fractions and layers come from sub-samples no farther apart than the image's voxels, at most `most_samples` along an
     axis: the fraction is the part of them in any layer, the layer the commonest, the first of `PRIORITY` of equal ones.
@@ -116,7 +134,8 @@ def resampled(
     count = (np.ceil(corners[1] / size).astype(int) - first).tolist()
     grid = Grid(size, (first[0], first[1], first[2]), (count[0], count[1], count[2]))
     parts = min(max(ceil(size / float(placed.spacing.min()) - 1e-6), 1), most_samples)
-    fraction, layer = np.zeros(grid.shape, np.uint8), np.zeros(grid.shape, np.uint8)
+    fraction = np.zeros(grid.shape, np.uint8)
+    layer = np.zeros(grid.shape, np.uint8)
     preference = [TOOTH_LAYERS.index(name) for name in PRIORITY if (placed.layer == TOOTH_LAYERS.index(name)).any()]
 
     def fill(start: int) -> None:
@@ -136,12 +155,13 @@ def resampled(
         )
     (crop,) = find_objects((fraction > 0).view(np.uint8))
     origin = (np.array(grid.first) + [s.start for s in crop]) * size
-    layer, fraction = np.ascontiguousarray(layer[crop]), np.ascontiguousarray(fraction[crop])
-    density = _DENSITY[layer] * (fraction > 0)
+    layer = np.ascontiguousarray(layer[crop])
+    fraction = np.ascontiguousarray(fraction[crop])
+    density = _DENSITY_KG_M3[layer] * (fraction > 0)
     return VoxelVolume(origin, size, fraction, layer, density, TOOTH_LAYERS, placed.placement)
 
 
-def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequence[int]) -> NDArray[np.uint8]:
+def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequence[int]) -> Bytes:
     """Sub-samples of each voxel in each of up to eight layers, shape (nx, ny, nz, 8).
 
     Eight counters of a byte share a word, so one sum counts all layers; `parts`³ fits a byte.
@@ -157,3 +177,143 @@ def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequen
         for i, j in np.ndindex(parts, parts):
             held[k // parts] += found[i::parts, j::parts]
     return held.view(np.uint8).reshape(*grid.shape, 8)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelShares:
+    """Shares of layers around any point of a box.
+
+    Attributes
+    ----------
+    layers
+        Layers that are there, uint8; of equal shares the first has the place.
+    shares
+        Share of each at the voxels, float32, shape (nx, ny, nz) each.
+    solid
+        Their sum.
+    start, turn
+        Index [voxel] of a point of the site frame [m]: ``start + turn @ point``.
+    deviation_m
+        Standard deviation of the Gaussian [m].
+    voxel_m
+        Smallest side of the labels' voxels [m].
+    """
+
+    layers: Bytes
+    shares: tuple[Singles, ...]
+    solid: Singles
+    start: Array
+    turn: Array
+    deviation_m: float
+    voxel_m: float
+
+    @classmethod
+    def of(
+        cls,
+        labels: Bytes,
+        layers: Sequence[int],
+        *,
+        voxel_m: Array,
+        start: Array,
+        turn: Array,
+    ) -> LabelShares:
+        """Spread the layers of labels, shape (nx, ny, nz), of voxels with the sides `voxel_m`, shape (3,)."""
+        deviation = SPREAD * float(voxel_m.max())
+        there = [layer for layer in layers if (labels == layer).any()]
+
+        def share(layer: int) -> Singles:
+            return spread_labels((labels == layer).astype(np.float32), deviation / voxel_m)
+
+        with ThreadPoolExecutor(_THREADS) as pool:
+            shares = tuple(pool.map(share, there))
+        solid = np.asarray(sum(shares, start=np.zeros(labels.shape, np.float32)))
+        return cls(np.array(there, np.uint8), shares, solid, start, turn, deviation, float(voxel_m.min()))
+
+    def sample(self, grid: Grid) -> tuple[Singles, Singles]:
+        """Sample a grid, see `meshes.shapes.anatomy.GridSampler`; the depth is zero, because layers do not use it."""
+        return self.fraction(grid), np.zeros(grid.shape, dtype=np.float32)
+
+    def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
+        """Return layer and density [kg/m3] at points, see `meshes.shapes.anatomy.Classify`."""
+        layer = self.layer(points)
+        return layer, _DENSITY_KG_M3[layer].astype(np.float32)
+
+    def layer(self, points: Floats) -> Bytes:
+        """Return the layer of the largest share at points [m], shape (n, 3)."""
+        if len(self.layers) < 2:
+            return np.full(len(points), self.layers[0] if len(self.layers) else 0, np.uint8)
+        found = np.empty(len(points), dtype=np.uint8)
+        for part in _parts(len(points)):
+            at = self._index(points[part])
+            found[part] = self.layers[np.argmax([_interpolated(share, at) for share in self.shares], axis=0)]
+        return found
+
+    def distance(self, points: Floats) -> Array:
+        """Compute the signed distance [m] to the surface at points [m], shape (n, 3); beyond a deviation a bound."""
+        return -self.deviation_m * np.interp(self._solid_at(points), *_plane_share())
+
+    def fraction(self, grid: Grid) -> Singles:
+        """Compute the part of each voxel inside, the surface being a plane in parts no larger than a label's voxel."""
+        from scipy.ndimage import binary_dilation
+
+        axes = [(np.arange(n) + f + 0.5) * grid.spacing_m for f, n in zip(grid.first, grid.shape, strict=True)]
+        centres = lattice(*axes)
+        share = self._solid_at(centres)
+        result = (share > 0.5).astype(np.float32)
+        side = result.reshape(grid.shape) > 0.5
+        mixed = (np.abs(share - 0.5) < _SURELY).reshape(grid.shape)
+        for axis in range(3):  # between neighbours on two sides there is a surface, however thin what it bounds
+            low, high = ((slice(None),) * axis + (part,) for part in (slice(0, -1), slice(1, None)))
+            mixed[low] |= side[low] != side[high]
+        near = np.flatnonzero(binary_dilation(mixed, np.ones((3, 3, 3))))
+        parts = max(ceil(grid.spacing_m / self.voxel_m - 1e-6), 1)
+        size = grid.spacing_m / parts
+        within = (np.arange(parts) - 0.5 * (parts - 1)) * size
+        filled = np.zeros(len(near), dtype=np.float32)
+        for shift in product(within, repeat=3):
+            filled += self._part_fraction(centres[near] + shift, size)
+        result[near] = filled / np.float32(parts**3)
+        return result.reshape(grid.shape)
+
+    def _part_fraction(self, centres: Array, size: float) -> Singles:
+        """Compute the part inside of cubes of an edge [m], shape (n,)."""
+        distance = self.distance(centres)
+        fraction = (distance < 0.0).astype(np.float32)
+        crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * size)
+        if len(crossed):
+            step = 0.5 * self.voxel_m * np.eye(3)
+            slope = np.stack(
+                [self.distance(centres[crossed] + each) - self.distance(centres[crossed] - each) for each in step], -1
+            )
+            length = np.linalg.norm(slope, axis=1, keepdims=True)
+            normal = np.where(length > 0.0, slope / np.maximum(length, 1e-30), np.array([0.0, 0.0, 1.0]))
+            fraction[crossed] = cube_fraction(distance[crossed] / size, normal)
+        return fraction
+
+    def _solid_at(self, points: Floats) -> Singles:
+        """Compute the share of all layers at points [m], shape (n, 3)."""
+        return np.concatenate([_interpolated(self.solid, self._index(points[p])) for p in _parts(len(points))])
+
+    def _index(self, points: Floats) -> Array:
+        """Return indices [voxel] of points [m], shape (3, n)."""
+        return np.asarray(self.start[:, None] + self.turn @ points.T)
+
+
+def _plane_share() -> tuple[Array, Array]:
+    """Tabulate the share behind a plane, rising, and the depth below the plane [deviations]."""
+    from scipy.special import ndtr
+
+    depth = np.linspace(-_FARTHEST, _FARTHEST, 801)
+    return ndtr(depth) + depth * np.exp(-0.5 * depth**2) / np.sqrt(2.0 * np.pi), depth
+
+
+def _interpolated(values: Singles, at: Array) -> Singles:
+    """Interpolate linearly at indices, shape (3, n)."""
+    from scipy.ndimage import map_coordinates
+
+    return np.asarray(map_coordinates(values, at, order=1, mode="nearest", output=np.float32))
+
+
+def _parts(count: int) -> list[slice]:
+    """Return slices of points that fit the processor's cache."""
+    return [slice(k, k + _POINTS_AT_ONCE) for k in range(0, max(count, 1), _POINTS_AT_ONCE)]

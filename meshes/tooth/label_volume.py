@@ -7,21 +7,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Flags
 from meshes.base.errors import InputError, require_positive
 from meshes.base.progress import Progress, silent
 from meshes.images.frame import Image
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
-from meshes.tooth.checks import require_known, require_tooth_size
-from meshes.tooth.label_image import EMPTY, LayerImage, layer_image
-from meshes.tooth.label_sampling import PlacedLabels, resampled
-from meshes.tooth.label_shares import REACH, LabelShares
-from meshes.tooth.layers import ENAMEL, PRIORITY, PULP, TOOTH_LAYERS
-from meshes.tooth.lesion_site import lesion_site
+from meshes.tooth.label_sampling import REACH, LabelShares, PlacedLabels, resampled
+from meshes.tooth.layers import EMPTY, ENAMEL, PRIORITY, PULP, TOOTH_LAYERS, require_known, require_tooth_size
 from meshes.tooth.pulp_cavity import PulpCavity, with_pulp
-from meshes.tooth.site import tooth_axes
+from meshes.tooth.site import lesion_site, tooth_axes
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 
@@ -64,7 +60,7 @@ class LabelledTooth:
         return PulpCavity.of(resampled(self.placed, self.placed.corners, _CAVITY_M, most_samples=_CAVITY_SAMPLES))
 
     def at_lesion(self) -> LabelledTooth:
-        """The same tooth with its site over its lesion, see `meshes.tooth.lesion_site.lesion_site`."""
+        """Return the tooth with its site over its lesion, see `meshes.tooth.site.lesion_site`."""
         found = lesion_site(self.volume(resample_mm=1e3 * _CAVITY_M))
         turned = self.placed.rotation @ found.rotation
         origin = self.placed.origin + self.placed.rotation @ found.centre_m
@@ -75,11 +71,11 @@ class LabelledTooth:
         self,
         *,
         resample_mm: float | None = None,
-        region_m: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+        region_m: tuple[Array, Array] | None = None,
         remark: Callable[[str], None] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> VoxelVolume:
-        """Voxels of the tooth in its site frame, its layers those of `meshes.tooth.layers.TOOTH_LAYERS`.
+        """Make voxels of the tooth in its site frame, with the layers of `meshes.tooth.layers.TOOTH_LAYERS`.
 
         Of the whole tooth fractions and layers come from sub-samples no farther apart than the image's voxels: the
         fraction is the part of them in any layer, the layer the commonest, of equal ones the first of `PRIORITY`. In a
@@ -106,12 +102,22 @@ class LabelledTooth:
         finest = require_positive("resample_mm", resample_mm, "use 0.1") if resample_mm is not None else None
         size = 1e-3 * (finest or max(self.finest_mm, _FINEST_DEFAULT_MM))
         corners = self.placed.corners
-        _require_resolution(corners, size)
+        sides = np.ptp(corners, axis=0)
+        if sides.min() < 8.0 * size:
+            raise InputError(
+                f"resample_mm must leave eight voxels across the tooth, got {1e3 * size:g} for "
+                f"{1e3 * sides.min():.3g} mm: use 0.1"
+            )
         if region_m is not None:
             corners = np.stack([np.maximum(corners[0], region_m[0]), np.minimum(corners[1], region_m[1])])
             if (corners[0] >= corners[1]).any():
                 corners = self.placed.corners  # a refusal of a tool that misses names where the tooth lies
-        _require_size(corners, size)
+        count = float(np.prod(np.ptp(corners, axis=0) / size))
+        if count > _MOST_VOXELS:
+            raise InputError(
+                f"resample_mm must leave at most {_MOST_VOXELS:.0e} voxels, got {1e3 * size:g} which makes "
+                f"{count:.2g}: use {1e3 * size * (count / _MOST_VOXELS) ** (1 / 3):.2g} or more"
+            )
         if region_m is None:
             volume = resampled(self.placed, corners, size, progress=progress)
             if not self.has_pulp and self.cavity is not None:
@@ -123,19 +129,22 @@ class LabelledTooth:
                     "region must meet the tooth, got one without any of it: move the tool to the tooth, or set "
                     "anatomy.site"
                 )
-        notes = list(self.sentences)
-        if not self.has_pulp and self.cavity is None:
-            notes.append("No label for the pulp: its distance and exposure are unknown.")
-        elif not self.has_pulp and self.cavity is not None:
-            held = f"{1e9 * self.cavity.volume_m3:.3g} mm3"
-            notes.append(f"No label for the pulp: the empty cavity of {held} in the dentin is taken as pulp.")
         if remark is not None:
-            for sentence in notes:
+            for sentence in (*self.sentences, *self._pulp_note()):
                 remark(sentence)
         return volume
 
-    def _anatomy(self, corners: NDArray[np.float64]) -> Anatomy:
-        """The tooth between two corners [m] as a function of position, its cavity filled."""
+    def _pulp_note(self) -> tuple[str, ...]:
+        """Describe what is taken as pulp where no label is."""
+        if self.has_pulp:
+            return ()
+        if self.cavity is None:
+            return ("No label for the pulp: its distance and exposure are unknown.",)
+        held = f"{1e9 * self.cavity.volume_m3:.3g} mm3"
+        return (f"No label for the pulp: the empty cavity of {held} in the dentin is taken as pulp.",)
+
+    def _anatomy(self, corners: Array) -> Anatomy:
+        """Return the tooth between two corners [m] as a function of position, its cavity filled."""
         labels, start, turn = self.placed.around(corners, REACH)
         if not self.has_pulp and self.cavity is not None:
             back = np.linalg.inv(turn)
@@ -146,7 +155,8 @@ class LabelledTooth:
         preference = [TOOTH_LAYERS.index(name) for name in PRIORITY]
         shares = LabelShares.of(labels, preference, voxel_m=self.placed.spacing, start=start, turn=turn)
         box = tuple(corners[0].tolist()), tuple(corners[1].tolist())
-        shape, placement = Shape(shares.distance, *box), self.placed.placement
+        shape = Shape(shares.distance, *box)
+        placement = self.placed.placement
         return Anatomy("tooth", shape, TOOTH_LAYERS, shares.classify, sample=shares.sample, placement=placement)
 
 
@@ -174,26 +184,76 @@ def labelled_tooth(
     """
     require_known(labels.values(), "labels")
     progress("naming the layers of the label volume", 0.0)
-    named = layer_image(image.values, labels, image.source)
-    require_known(named.counts, "labels")
+    layer, first, islands = _layers(image, labels)
+    counts = np.bincount(layer.ravel(order="K"), minlength=EMPTY + 1)
+    cube_mm3 = float(np.prod(image.spacing_mm))
+    volumes_mm3 = {name: counts[k] * cube_mm3 for k, name in enumerate(TOOTH_LAYERS) if counts[k]}
+    require_known(volumes_mm3, "labels")
     spacing_mm = np.array(image.spacing_mm)
-    sides = spacing_mm * named.layer.shape
+    sides = spacing_mm * layer.shape
     longest = int(np.argmax(sides))
-    given = f"{spacing_mm[longest]:g}"
-    require_tooth_size(float(sides[longest]), "spacing_mm", given, named.layer.shape[longest])
+    require_tooth_size(float(sides[longest]), "spacing_mm", f"{spacing_mm[longest]:g}", layer.shape[longest])
     progress("placing the tooth by its enamel", 0.5)
-    placed, note = _placed(named, 1e-3 * spacing_mm, 1e-3 * np.array(image.origin_mm))
-    sentences = (*image.notes, *_sentences(image, named, note))
-    return LabelledTooth(placed, "pulp" in named.counts, float(spacing_mm.min()), sentences)
+    placed, note = _placed(layer, 1e-3 * spacing_mm, 1e-3 * (np.array(image.origin_mm) + spacing_mm * first))
+    held = ", ".join(f"{name} {volume:.4g} mm3" for name, volume in volumes_mm3.items())
+    sentences = [*image.notes, f"The labels of {image.source} hold {held}.", f"Long axis: {note}.", *islands]
+    if "ligament" not in volumes_mm3:
+        sentences.append("No label for the ligament: the tooth has no support but what the scene states.")
+    if "caries" in volumes_mm3:
+        sentences.append("The lesion is taken as half softened throughout: labels do not grade it.")
+    return LabelledTooth(placed, "pulp" in volumes_mm3, float(spacing_mm.min()), tuple(sentences))
 
 
-def _placed(named: LayerImage, spacing: NDArray[np.float64], first_m: NDArray[np.float64]) -> tuple[PlacedLabels, str]:
-    """The image with its site found, and how."""
-    layer = np.ascontiguousarray(np.pad(named.layer, 1, constant_values=EMPTY))
-    enamel = _points(layer == ENAMEL, spacing)
-    axes = tooth_axes(enamel, _points((layer != ENAMEL) & (layer != EMPTY), spacing))
-    first_m = first_m + spacing * (np.array(named.first) - 1)
-    placed = PlacedLabels(layer, spacing, first_m, axes.middle_m, axes.rotation)
+def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], list[str]]:
+    """Crop a label image to its tooth, name its labels, and drop pieces that are not connected to the largest by faces.
+
+    Returns
+    -------
+    Layer index, `EMPTY` outside the tooth; the voxel of the image that is its first; a note on what was dropped.
+    """
+    from scipy.ndimage import find_objects
+    from scipy.ndimage import label as label_pieces
+
+    filled = image.values != 0
+    boxes = find_objects(filled.view(np.uint8))
+    if not boxes:
+        raise InputError(f"labels must mark a tooth, got nothing but 0 in {image.source}: check the file")
+    cropped = image.values[boxes[0]]
+    low = float(cropped.min())
+    high = float(cropped.max())
+    if low < 0 or high > EMPTY or any((plane != np.rint(plane)).any() for plane in cropped.T):
+        raise InputError(
+            f"labels must be whole numbers from 0 to {EMPTY}, got others from {low:g} to {high:g} in {image.source}: "
+            "use a label image"
+        )
+    cropped = cropped.astype(np.uint8)
+    # Plane by plane, because the count of a whole image takes eight bytes a voxel.
+    counts = np.sum([np.bincount(plane.ravel(), minlength=EMPTY + 1) for plane in cropped.T], axis=0)
+    found = [label for label in np.flatnonzero(counts).tolist() if label]
+    unknown = ", ".join(f"{label} ({counts[label]} voxels)" for label in found if label not in labels)
+    if unknown:
+        raise InputError(
+            f"labels must name every label of {image.source}, got unnamed {unknown}: add them, or set them to 0 in the "
+            "file"
+        )
+    pieces, count = label_pieces(cropped)
+    sizes = np.bincount(pieces.ravel())
+    sizes[0] = 0
+    layer_of = np.full(EMPTY + 1, EMPTY, dtype=np.uint8)
+    layer_of[found] = [TOOTH_LAYERS.index(labels[label]) for label in found]
+    layer = layer_of[cropped]
+    layer[pieces != np.argmax(sizes)] = EMPTY
+    dropped = int(sizes.sum() - sizes.max())
+    cube_mm3 = float(np.prod(image.spacing_mm))
+    islands = f"Dropped {count - 1} loose pieces of {dropped} voxels, {dropped * cube_mm3:.2g} mm3 in all."
+    return layer, [side.start for side in boxes[0]], [islands] if count > 1 else []
+
+
+def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels, str]:
+    """Find the site of a tooth; return its labels placed there, and how it was found."""
+    layer = np.ascontiguousarray(np.pad(layer, 1, constant_values=EMPTY))
+    axes = tooth_axes(_points(layer == ENAMEL, spacing), _points((layer != ENAMEL) & (layer != EMPTY), spacing))
+    placed = PlacedLabels(layer, spacing, first_m - spacing, axes.middle_m, axes.rotation)
     reach = float(np.linalg.norm(spacing * layer.shape))
     heights = np.arange(-reach, reach, 0.25 * float(spacing.min()))
     on_axis = placed.on_plane(0.0, np.zeros(1), heights)[0]
@@ -205,45 +265,8 @@ def _placed(named: LayerImage, spacing: NDArray[np.float64], first_m: NDArray[np
     return replace(placed, origin=origin), f"{axes.note}; origin on the {TOOTH_LAYERS[on_axis[top]]}"
 
 
-def _points(flags: NDArray[np.bool_], spacing: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Centres of some of the flagged voxels [m], spread evenly, shape (n, 3)."""
+def _points(flags: Flags, spacing: Array) -> Array:
+    """Return centres of some of the flagged voxels [m], spread evenly, shape (n, 3)."""
     found = np.flatnonzero(flags)
     found = found[:: max(len(found) // _SITE_POINTS, 1)]
     return np.column_stack(np.unravel_index(found, flags.shape)) * spacing
-
-
-def _sentences(image: Image, named: LayerImage, note: str) -> list[str]:
-    """What was found in the image and done to it."""
-    cube_mm3 = float(np.prod(image.spacing_mm))
-    volumes = ", ".join(f"{name} {count * cube_mm3:.4g} mm3" for name, count in named.counts.items())
-    sentences = [f"The labels of {image.source} hold {volumes}.", f"Long axis: {note}."]
-    if named.island_count:
-        sentences.append(
-            f"Dropped {named.island_count} loose pieces of {named.island_voxels} voxels, "
-            f"{named.island_voxels * cube_mm3:.2g} mm3 in all."
-        )
-    if "ligament" not in named.counts:
-        sentences.append("No label for the ligament: the tooth has no support but what the scene states.")
-    if "caries" in named.counts:
-        sentences.append("The lesion is taken as half softened throughout: labels do not grade it.")
-    return sentences
-
-
-def _require_size(corners: NDArray[np.float64], size: float) -> None:
-    """Refuse too many voxels."""
-    count = float(np.prod(np.ptp(corners, axis=0) / size))
-    if count > _MOST_VOXELS:
-        raise InputError(
-            f"resample_mm must leave at most {_MOST_VOXELS:.0e} voxels, got {1e3 * size:g} which makes {count:.2g}: "
-            f"use {1e3 * size * (count / _MOST_VOXELS) ** (1 / 3):.2g} or more"
-        )
-
-
-def _require_resolution(corners: NDArray[np.float64], size: float) -> None:
-    """Refuse voxels too large for the tooth."""
-    sides = np.ptp(corners, axis=0)
-    if sides.min() < 8.0 * size:
-        raise InputError(
-            f"resample_mm must leave eight voxels across the tooth, got {1e3 * size:g} for {1e3 * sides.min():.3g} mm: "
-            "use 0.1"
-        )

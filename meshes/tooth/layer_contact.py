@@ -1,26 +1,50 @@
-"""How the layers of a tooth fit together: overlaps, gaps and enclosed voids, counted on a lattice of points.
+"""Fit of the layers of a tooth: overlaps, gaps and enclosed voids, counted on a lattice of points.
 
-A gap is a place in no layer that a line along x, y or z crosses between two layers that should touch, over at most
-0.3 mm, and that reaches deeper than it is wide. Wider spaces, and those between layers that need not touch, are taken
-as anatomy.
+A gap is a space of at most 0.3 mm along x, y or z between two layers that should touch. It reaches deeper than it is
+wide. Wider spaces, and those between layers that need not touch, count as anatomy.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints
+from meshes.base.errors import InputError
+from meshes.surfaces.repair import Triangles
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.voxels.column_crossings import column_crossings, inside_scattered
 
-__all__ = ["PITCH_M", "LayerContact", "inside_lattice", "inside_surface", "measure_contact"]
+__all__ = [
+    "PITCH_M",
+    "LayerContact",
+    "inside_lattice",
+    "inside_surface",
+    "measure_contact",
+    "require_pulp_within",
+    "require_touching",
+]
 
 PITCH_M = 0.1e-3
 """Distance between the lattice points [m]."""
 
 _WIDEST_GAP_M = 0.3e-3
-_TOUCHING = ("enamel dentin", "dentin pulp", "caries enamel", "caries dentin", "dentin ligament", "ligament bone")
+_TOUCHING = [
+    {"enamel", "dentin"},
+    {"dentin", "pulp"},
+    {"caries", "enamel"},
+    {"caries", "dentin"},
+    {"dentin", "ligament"},
+    {"ligament", "bone"},
+]
+_TOUCH_M = 0.5e-3
+"""Largest distance of layers that count as touching."""
+_POINTS_TESTED = 4000
+_NEAR_M = 0.2e-3
+_LEAST_WITHIN = 0.6
+"""Share of the pulp's surface that must lie in the dentin or this near to its surface."""
 _LINES_A_POINT = 2
 
 
@@ -41,15 +65,13 @@ class LayerContact:
     overlap_mm3: Mapping[tuple[str, str], float]
     gap_mm3: Mapping[tuple[str, str], float]
     void_mm3: float
-    gap_layer: NDArray[np.uint8]
+    gap_layer: Bytes
 
 
-def inside_surface(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.floating]
-) -> NDArray[np.bool_]:
-    """Whether points [m], shape (n, 3), lie within a closed surface, by the vertical line through each.
+def inside_surface(vertices: Array, faces: Ints, points: Floats) -> Flags:
+    """Return whether points [m], shape (n, 3), lie within a closed surface, by the vertical line through each.
 
-    Points of a grid share their lines, which is what makes this quick.
+    Points of a grid share their lines, so that far fewer lines than points are crossed.
     """
     x, i = np.unique(points[:, 0], return_inverse=True)
     y, j = np.unique(points[:, 1], return_inverse=True)
@@ -67,10 +89,8 @@ def inside_surface(
     return np.concatenate([[0], np.cumsum(crossings.entering)])[crossed] > 0
 
 
-def inside_lattice(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], axes: Sequence[NDArray[np.float64]]
-) -> NDArray[np.bool_]:
-    """Whether the points of a lattice lie within a closed surface, shape (nx, ny, nz).
+def inside_lattice(vertices: Array, faces: Ints, axes: Sequence[Array]) -> Flags:
+    """Return whether the points of a lattice lie within a closed surface, shape (nx, ny, nz).
 
     Parameters
     ----------
@@ -86,8 +106,8 @@ def inside_lattice(
     return np.cumsum(change.reshape(len(x), len(y), len(z) + 1), axis=2)[:, :, :-1] > 0.5
 
 
-def measure_contact(inside: Mapping[str, NDArray[np.bool_]], priority: Sequence[str]) -> LayerContact:
-    """Overlaps and gaps of layers given as flags on a lattice of pitch `PITCH_M`.
+def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> LayerContact:
+    """Measure overlaps and gaps of layers given as flags on a lattice of pitch `PITCH_M`.
 
     Parameters
     ----------
@@ -100,48 +120,42 @@ def measure_contact(inside: Mapping[str, NDArray[np.bool_]], priority: Sequence[
 
     cube_mm3 = (1e3 * PITCH_M) ** 3
     names = [name for name in priority if name in inside]
-    overlaps = {}
-    for k, one in enumerate(names):
-        for other in names[k + 1 :]:
-            count = int(np.count_nonzero(inside[one] & inside[other]))
-            if count:
-                overlaps[one, other] = count * cube_mm3
+    shared = {(a, b): int(np.count_nonzero(inside[a] & inside[b])) for a, b in combinations(names, 2)}
     label = np.zeros(next(iter(inside.values())).shape, dtype=np.uint8)
     for name in reversed(names):
         label[inside[name]] = TOOTH_LAYERS.index(name) + 1
     gap_layer, gaps = _gaps(label, names)
     enclosed = binary_fill_holes(label > 0) & (label == 0) & (gap_layer == 0)
     return LayerContact(
-        overlaps,
-        {pair: count * cube_mm3 for pair, count in gaps.items()},
+        {pair: count * cube_mm3 for pair, count in shared.items() if count},
+        {pair: count * cube_mm3 for pair, count in gaps.items() if count},
         float(np.count_nonzero(enclosed)) * cube_mm3,
         gap_layer,
     )
 
 
-def _gaps(label: NDArray[np.uint8], names: list[str]) -> tuple[NDArray[np.uint8], dict[tuple[str, str], int]]:
-    """Layer index + 1 that takes each lattice point in a gap, and the number of points by pair of layers."""
-    pairs = [(one, other) for k, one in enumerate(names) for other in names[k + 1 :] if _touch(one, other)]
+def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], int]]:
+    """Return the layer index + 1 that takes each lattice point in a gap, and the number of points by pair of layers."""
+    pairs = [pair for pair in combinations(names, 2) if set(pair) in _TOUCHING]
     between = np.zeros_like(label)
     for axis in range(3):
         before, after, width = _neighbours(label, axis)
         spanned = (label == 0) & (between == 0) & (width * PITCH_M <= _WIDEST_GAP_M)
         for number, (one, other) in enumerate(pairs, start=1):
-            a, b = TOOTH_LAYERS.index(one) + 1, TOOTH_LAYERS.index(other) + 1
-            between[spanned & (((before == a) & (after == b)) | ((before == b) & (after == a)))] = number
+            first = TOOTH_LAYERS.index(one) + 1
+            last = TOOTH_LAYERS.index(other) + 1
+            forward = (before == first) & (after == last)
+            backward = (before == last) & (after == first)
+            between[spanned & (forward | backward)] = number
     if between.any():
         _drop_creases(between, label)
     found = np.bincount(between.ravel(), minlength=len(pairs) + 1)
     taker = np.array([0, *(TOOTH_LAYERS.index(one) + 1 for one, _ in pairs)], dtype=np.uint8)
-    return taker[between], {pair: int(n) for pair, n in zip(pairs, found[1:], strict=True) if n}
+    return taker[between], dict(zip(pairs, found[1:].tolist(), strict=True))
 
 
-def _touch(one: str, other: str) -> bool:
-    return f"{one} {other}" in _TOUCHING or f"{other} {one}" in _TOUCHING
-
-
-def _drop_creases(between: NDArray[np.uint8], label: NDArray[np.uint8]) -> None:
-    """Clear, in place, what is nowhere deeper than a gap is wide: the crease in which two layers meet from outside."""
+def _drop_creases(between: Bytes, label: Bytes) -> None:
+    """Clear, in place, spaces nowhere deeper than a gap is wide: the crease in which two layers meet from outside."""
     from scipy.ndimage import distance_transform_edt
     from scipy.ndimage import label as connected
 
@@ -152,8 +166,8 @@ def _drop_creases(between: NDArray[np.uint8], label: NDArray[np.uint8]) -> None:
     between[~deep[pieces]] = 0
 
 
-def _neighbours(label: NDArray[np.uint8], axis: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.int16]]:
-    """Labels of the nearest filled point before and after each one along an axis (0: none), and points between them."""
+def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16]]:
+    """Return labels of the nearest filled points before and after each along an axis (0: none), and their distance."""
     count = label.shape[axis]
     place = np.arange(count, dtype=np.int16).reshape([-1 if k == axis else 1 for k in range(3)])
     first = np.maximum.accumulate(np.where(label > 0, place, np.int16(-1)), axis=axis)
@@ -161,3 +175,50 @@ def _neighbours(label: NDArray[np.uint8], axis: int) -> tuple[NDArray[np.uint8],
     before = np.where(first < 0, 0, np.take_along_axis(label, np.maximum(first, 0).astype(np.intp), axis))
     after = np.where(last == count, 0, np.take_along_axis(label, np.minimum(last, count - 1).astype(np.intp), axis))
     return before.astype(np.uint8), after.astype(np.uint8), last - first - np.int16(1)
+
+
+def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangles]) -> None:
+    """Raise for layers that lie in no other layer and farther than 0.5 mm from each of them.
+
+    Parameters
+    ----------
+    points_m, solids
+        Points on the surface of each layer [m], shape (n, 3), and its vertices [m] and triangles.
+    """
+    from scipy.spatial import cKDTree
+
+    trees = {name: cKDTree(points) for name, points in points_m.items()}
+    for name, points in points_m.items():
+        tested = points[:: max(len(points) // _POINTS_TESTED, 1)]
+        apart = {other: float(tree.query(tested)[0].min()) for other, tree in trees.items() if other != name}
+        nearest = min(apart, key=lambda other: apart[other])
+        if apart[nearest] <= _TOUCH_M:
+            continue
+        few = tested[:: max(len(tested) // 100, 1)]
+        if not any(inside_surface(*solid, few).any() for other, solid in solids.items() if other != name):
+            raise InputError(
+                f"{name} surface must touch the others in one common frame and unit, got one "
+                f"{1e3 * apart[nearest]:.3g} mm from {nearest}, the nearest: check its unit and its origin"
+            )
+
+
+def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Array) -> None:
+    """Raise for a pulp if less than 60 % of its surface lies within the dentin or 0.2 mm from the dentin's surface.
+
+    Parameters
+    ----------
+    pulp_m, dentin_samples_m
+        Points on both surfaces [m], shape (n, 3).
+    dentin
+        Vertices of the dentin [m] and its triangles.
+    """
+    from scipy.spatial import cKDTree
+
+    tested = pulp_m[:: max(len(pulp_m) // 2000, 1)]
+    far = tested[cKDTree(dentin_samples_m).query(tested)[0] >= _NEAR_M]
+    within = 1.0 - float(np.count_nonzero(~inside_surface(*dentin, far))) / len(tested)
+    if within < _LEAST_WITHIN:
+        raise InputError(
+            f"pulp must lie within the dentin, got {100.0 * within:.0f} % of its surface there: check which "
+            "layer is which, and the frame of the pulp surface"
+        )

@@ -1,33 +1,177 @@
 """A tooth from one closed surface per layer: placed, its overlaps and gaps measured and resolved, a socket added."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Floats, Singles
 from meshes.base.errors import InputError, require_range
 from meshes.base.placement import Placement
 from meshes.base.simplices import cross_products
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
 from meshes.surfaces.glenoid_search import sample_surface
-from meshes.surfaces.repair import Triangles
+from meshes.surfaces.repair import Triangles, merge_vertices
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface, read_surface
-from meshes.tooth.checks import require_known, require_pulp_within, require_tooth_size, require_touching
-from meshes.tooth.layer_contact import PITCH_M, LayerContact, inside_lattice, measure_contact
-from meshes.tooth.layered_solid import Lattice, LayeredSolid, joined, socket_lattice
-from meshes.tooth.layers import PRIORITY, TOOTH_LAYERS
-from meshes.tooth.lesion_site import lesion_site
-from meshes.tooth.site import tooth_axes
+from meshes.tooth.layer_contact import (
+    PITCH_M,
+    LayerContact,
+    inside_lattice,
+    inside_surface,
+    measure_contact,
+    require_pulp_within,
+    require_touching,
+)
+from meshes.tooth.layers import BONE, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS, require_known, require_tooth_size
+from meshes.tooth.site import lesion_site, tooth_axes
 from meshes.voxels.column_crossings import column_crossings
+from meshes.voxels.grid import Grid
+from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 from meshes.voxels.voxelise import voxelise
 
-__all__ = ["layered_anatomy", "layered_surfaces"]
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
-_SAMPLE_PITCH_M, _MOST_SAMPLES = 0.1e-3, 300_000
+__all__ = ["Lattice", "LayeredSolid", "joined", "layered_anatomy", "layered_surfaces"]
+
+_SAMPLE_PITCH_M = 0.1e-3
+_MOST_SAMPLES = 300_000
 _LESION_M = 0.15e-3
+"""Edge of the voxels in which a lesion is searched for."""
+_SOCKET_PITCH_M = 0.2e-3
+_MERGE_TOLERANCE_M = 1e-8
+_DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Values at points of even pitch [m], the first at `origin`."""
+
+    origin: Array
+    pitch: float
+    values: NDArray[np.number]
+
+    def __call__(self, points: Floats, *, beyond: float) -> Singles:
+        """Interpolate linearly to points [m], shape (n, 3); `beyond` outside the lattice."""
+        from scipy.ndimage import map_coordinates
+
+        index = ((points - self.origin) / self.pitch).T
+        return map_coordinates(self.values, index, output=np.float32, order=1, mode="constant", cval=beyond)
+
+    def nearest(self, points: Floats) -> NDArray[np.number]:
+        """Return the value at the nearest lattice point; 0 outside the lattice."""
+        index = np.rint((points - self.origin) / self.pitch).astype(np.int64)
+        held = ((index >= 0) & (index < self.values.shape)).all(axis=1)
+        found = np.zeros(len(points), dtype=self.values.dtype)
+        found[held] = self.values[tuple(index[held].T)]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredSolid:
+    """Surfaces of the layers in the site frame, and what fills the space between and around them.
+
+    Attributes
+    ----------
+    solids
+        Vertices [m] and triangles by layer index, the layer with the highest priority first.
+    union
+        Surface of all of them; where they overlap it crosses itself.
+    samples, sample_layer
+        Points of all surfaces, and the layer index of each.
+    gap
+        Layer index + 1 that takes a gap, 0 elsewhere.
+    socket
+        Distance from the bone socket [m], negative inside.
+    """
+
+    solids: Mapping[int, Triangles]
+    union: Triangles
+    samples: cKDTree
+    sample_layer: Bytes
+    gap: Lattice | None
+    socket: Lattice | None
+
+    def distance(self, points: Floats) -> Floats:
+        """Compute the signed distance [m] of points [m], shape (n, 3), from layers and socket, negative inside."""
+        away = triangle_distance(*self.union, points)
+        if self.socket is not None:
+            away = np.minimum(away, self.socket(points, beyond=1.0))
+        return away.astype(points.dtype)
+
+    def sample(self, grid: Grid) -> tuple[Singles, Singles]:
+        """Compute fraction and depth of the voxels of a grid, see `meshes.shapes.anatomy.GridSampler`."""
+        fraction, depth = TriangleSampler(*self.union)(grid)
+        if self.gap is None and self.socket is None:
+            return fraction, depth
+        index = np.nonzero(fraction < 1.0)
+        points = np.stack([(i + f + 0.5) * grid.spacing_m for i, f in zip(index, grid.first, strict=True)], axis=1)
+        filled = fraction[index]
+        if self.gap is not None:
+            open_gap = Lattice(self.gap.origin, self.gap.pitch, (self.gap.values > 0).astype(np.float32))
+            filled = np.minimum(filled + open_gap(points, beyond=0.0), 1.0)
+        if self.socket is not None:
+            away = self.socket(points, beyond=1.0)
+            filled = filled + (1.0 - filled) * np.clip(0.5 - away / np.float32(grid.spacing_m), 0.0, 1.0)
+            depth[index] = np.where(fraction[index] > 0.0, np.maximum(depth[index], -away), -away)
+        fraction[index] = filled
+        return fraction, depth
+
+    def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
+        """Return the layer that holds each point, by priority, else the layer that takes the gap, or the nearest."""
+        layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
+        left = np.arange(len(points))
+        for index, (vertices, faces) in self.solids.items():
+            held = inside_surface(vertices, faces, points[left])
+            layer[left[held]] = index
+            left = left[~held]
+        if self.gap is not None:
+            gap = self.gap.nearest(points[left])
+            layer[left[gap > 0]] = gap[gap > 0] - 1
+            left = left[gap == 0]
+        away = np.full(len(left), np.inf) if self.socket is None else self.socket(points[left], beyond=1.0)
+        layer[left[away <= 0.0]] = BONE
+        left = left[away > 0.0]
+        away = away[away > 0.0]
+        distance, nearest = self.samples.query(points[left])
+        layer[left] = np.where(away < distance, BONE, self.sample_layer[nearest])
+        return layer, _DENSITY[layer]
+
+
+def joined(solids: Sequence[Triangles]) -> Triangles:
+    """Join several surfaces; triangles that two of them share back to back cancel."""
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in solids)])
+    vertices = np.concatenate([vertices for vertices, _ in solids])
+    faces = np.concatenate([faces + start for (_, faces), start in zip(solids, starts, strict=False)])
+    return merge_vertices(vertices, faces, _MERGE_TOLERANCE_M)[:2]
+
+
+def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
+    """Tabulate the distance [m] from bone within `margin` of the ligament and nearer to it than to the other layers.
+
+    Parameters
+    ----------
+    ligament, others
+        Points of the ligament's surface and of those of the other layers [m], shape (n, 3).
+    """
+    from scipy.spatial import cKDTree
+
+    low = ligament.min(axis=0) - margin - 2.0 * _SOCKET_PITCH_M
+    count = np.ceil((ligament.max(axis=0) + margin + 2.0 * _SOCKET_PITCH_M - low) / _SOCKET_PITCH_M).astype(int) + 1
+    points = low + _SOCKET_PITCH_M * np.moveaxis(np.indices(count), 0, -1).reshape(-1, 3)
+    reach = margin + 2.0 * _SOCKET_PITCH_M
+    away = np.minimum(cKDTree(ligament[::4]).query(points, distance_upper_bound=reach)[0], reach)
+    near = np.flatnonzero(away < reach)
+    signed = away - margin
+    signed[near] = np.maximum(signed[near], away[near] - cKDTree(others[::4]).query(points[near])[0])
+    return Lattice(low, _SOCKET_PITCH_M, signed.reshape(count).astype(np.float32))
 
 
 def layered_surfaces(
@@ -37,7 +181,7 @@ def layered_surfaces(
     socket_mm: float = 0.0,
     at_lesion: bool = False,
 ) -> Anatomy:
-    """Tooth from surface files, one closed surface per layer, in one common frame and unit.
+    """Read a tooth from surface files, one closed surface per layer, in one common frame and unit.
 
     Parameters
     ----------
@@ -61,7 +205,7 @@ def layered_surfaces(
 
 
 def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
-    """The surface of a layer; a refusal of its file names the layer."""
+    """Read the surface of a layer; an error of its file names the layer."""
     try:
         return read_surface(path, scale_mm=scale_mm)
     except InputError as error:
@@ -76,7 +220,7 @@ def layered_anatomy(
     at_lesion: bool = False,
     at: Site | None = None,
 ) -> Anatomy:
-    """Tooth from closed surfaces by layer name, in the site frame of teeth.
+    """Build a tooth from closed surfaces by layer name, in the site frame of teeth.
 
     The origin is where the tooth's long axis through the middle of the enamel leaves the enamel: where a thin bur that
     comes down that axis first touches. z points from the roots to the crown, x along the wider direction of the roots.
@@ -90,9 +234,8 @@ def layered_anatomy(
     socket_mm
         Thickness of bone added around the ligament [mm], 0 (none) to 10: the points nearer to the ligament than to the
         rest of the tooth.
-
     at_lesion
-        Whether the origin lies over the lesion, see `meshes.tooth.lesion_site.lesion_site`.
+        Whether the origin lies over the lesion, see `meshes.tooth.site.lesion_site`.
     at
         The site in the frame of the surfaces, where it is known.
 
@@ -103,7 +246,12 @@ def layered_anatomy(
         outside the dentin, or a socket is asked for without a ligament.
     """
     require_known(surfaces, "surfaces")
-    margin = _socket_margin(surfaces, socket_mm)
+    margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
+    if margin > 0.0 and ("ligament" not in surfaces or "bone" in surfaces):
+        raise InputError(
+            f"socket_mm must be 0 without a ligament or with a bone surface, got {socket_mm:g}: add the ligament, or "
+            "leave the socket out"
+        )
     order = [name for name in PRIORITY if name in surfaces]
     samples = {name: _spread(surface) for name, surface in surfaces.items()}
     require_touching(samples, {name: (surface.vertices_m, surface.faces) for name, surface in surfaces.items()})
@@ -126,35 +274,26 @@ def layered_anatomy(
     solid = _solid({name: placed[name] for name in order}, samples, gap, margin)
     notes = _notes(surfaces, note, contact, order, socket_mm)
     placement = Placement(1e3 * centre, rotation, scale)
-    shape = _shape(solid, samples, margin)
+    points = np.concatenate(list(samples.values()))
+    high = np.maximum(points.max(axis=0), samples.get("ligament", points).max(axis=0) + margin)
+    shape = Shape(solid.distance, tuple((points.min(axis=0) - margin).tolist()), tuple(high.tolist()))
     return Anatomy("tooth from surfaces", shape, TOOTH_LAYERS, solid.classify, notes, solid.sample, placement)
-
-
-def _socket_margin(surfaces: Mapping[str, Surface], socket_mm: float) -> float:
-    """Thickness of the bone to add [m]; a refusal where there is no ligament to add it around, or bone is given."""
-    margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
-    if margin > 0.0 and ("ligament" not in surfaces or "bone" in surfaces):
-        raise InputError(
-            f"socket_mm must be 0 without a ligament or with a bone surface, got {socket_mm:g}: add the ligament, or "
-            "leave the socket out"
-        )
-    return margin
 
 
 def _solid(
     placed: Mapping[str, Triangles],
-    samples: Mapping[str, NDArray[np.float64]],
+    samples: Mapping[str, Array],
     gap: Lattice | None,
     margin: float,
 ) -> LayeredSolid:
-    """The layers placed in the site frame, the first with the highest priority, with a socket of this margin [m]."""
+    """Combine layers placed in the site frame, the first with the highest priority, and a socket of a margin [m]."""
     from scipy.spatial import cKDTree
 
     layer = np.concatenate([np.full(len(samples[name]), TOOTH_LAYERS.index(name), np.uint8) for name in samples])
     socket = None
     if margin > 0.0:
         others = np.concatenate([points for name, points in samples.items() if name != "ligament"])
-        socket = socket_lattice(samples["ligament"], others, margin)
+        socket = _socket(samples["ligament"], others, margin)
     return LayeredSolid(
         {TOOTH_LAYERS.index(name): placed[name] for name in placed},
         joined([placed[name] for name in samples]),
@@ -165,24 +304,15 @@ def _solid(
     )
 
 
-def _shape(solid: LayeredSolid, samples: Mapping[str, NDArray[np.float64]], margin: float) -> Shape:
-    """Outer shape of the solid, with bounds around the samples and the socket's margin [m]."""
-    points = np.concatenate(list(samples.values()))
-    high = np.maximum(points.max(axis=0), samples.get("ligament", points).max(axis=0) + margin)
-    return Shape(solid.distance, tuple((points.min(axis=0) - margin).tolist()), tuple(high.tolist()))
-
-
-def _spread(surface: Surface) -> NDArray[np.float64]:
-    """Points about 0.1 mm apart over a surface [m], shape (n, 3)."""
+def _spread(surface: Surface) -> Array:
+    """Sample a surface by points about 0.1 mm apart [m], shape (n, 3)."""
     area = 0.5 * float(np.linalg.norm(cross_products(surface.vertices_m, surface.faces), axis=1).sum())
     count = int(np.clip(area / _SAMPLE_PITCH_M**2, 1000, _MOST_SAMPLES))
     return sample_surface(surface.vertices_m, surface.faces, count).points
 
 
-def _site(
-    surfaces: Mapping[str, Surface], samples: Mapping[str, NDArray[np.float64]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], str]:
-    """Origin [m] and axes of the tooth's site in the frame of the surfaces, and how they were found."""
+def _site(surfaces: Mapping[str, Surface], samples: Mapping[str, Array]) -> tuple[Array, Array, str]:
+    """Find origin [m] and axes of the tooth's site in the frame of the surfaces; the text states how."""
     body = np.concatenate([points for name, points in samples.items() if name not in ("enamel", "bone")])
     axes = tooth_axes(samples["enamel"], body)
     for name in ("enamel", "dentin"):
@@ -196,8 +326,8 @@ def _site(
     )
 
 
-def _contact(placed: Mapping[str, Triangles], order: Sequence[str]) -> tuple[NDArray[np.float64], LayerContact]:
-    """First point of the lattice [m], and how the layers fit together on it."""
+def _contact(placed: Mapping[str, Triangles], order: Sequence[str]) -> tuple[Array, LayerContact]:
+    """Return the first point of the lattice [m], and the fit of the layers on it."""
     low = np.min([vertices.min(axis=0) for vertices, _ in placed.values()], axis=0) - 2.5 * PITCH_M
     high = np.max([vertices.max(axis=0) for vertices, _ in placed.values()], axis=0) + 2.5 * PITCH_M
     axes = [a + PITCH_M * np.arange(int(np.ceil((b - a) / PITCH_M))) for a, b in zip(low, high, strict=True)]
@@ -207,7 +337,7 @@ def _contact(placed: Mapping[str, Triangles], order: Sequence[str]) -> tuple[NDA
 def _notes(
     surfaces: Mapping[str, Surface], note: str, contact: LayerContact, order: Sequence[str], socket_mm: float
 ) -> dict[str, str]:
-    """What was found and assumed, for reports."""
+    """Describe measurements and assumptions for reports."""
 
     def listed(volumes: Mapping[tuple[str, str], float]) -> str:
         return ", ".join(f"{one} and {other} {volume:.3g} mm3" for (one, other), volume in volumes.items())

@@ -1,4 +1,4 @@
-"""What the layers of a tooth are called, how dense they are, and how softened dentin differs from sound in density.
+"""Layers of a tooth: names, densities, softness of decayed dentin, and checks of names and size.
 
 M = from memory of the literature, with confidence H, M or L.
 
@@ -12,16 +12,20 @@ bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
 =========  =================  ==========================================================================
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Floats
+from meshes.base.errors import InputError
+
 __all__ = [
     "BONE",
     "CARIES",
     "DENTIN",
+    "EMPTY",
     "ENAMEL",
     "LAYER_DENSITY_KG_M3",
     "LIGAMENT",
@@ -31,6 +35,8 @@ __all__ = [
     "caries_density",
     "caries_softness",
     "in_chunks",
+    "require_known",
+    "require_tooth_size",
 ]
 
 Kind = TypeVar("Kind", bound=np.generic)
@@ -47,20 +53,26 @@ LAYER_DENSITY_KG_M3 = {
 }
 """Density of each layer [kg/m3]; that of `caries` stands for a lesion of unknown softness (one half)."""
 
+EMPTY = 255
+"""Layer index outside the tooth."""
 PRIORITY = ("caries", "pulp", "enamel", "dentin", "ligament", "bone")
 """Of two layers that claim a place, the one named first has it."""
 
-_SOUND_KG_M3, _INFECTED_KG_M3 = 2100.0, 1300.0
+_SOUND_KG_M3 = 2100.0
+_INFECTED_KG_M3 = 1300.0
 _POINTS_AT_ONCE = 1 << 17
+_SMALLEST_MM = 5.0
+_LARGEST_MM = 40.0
+_TYPICAL_MM = 18.0
 
 
-def caries_density(softness: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Density [kg/m3] of a lesion's voxels of the given softness, 0 (sound dentin) to 1 (fully softened), linear."""
+def caries_density(softness: Floats) -> Floats:
+    """Compute the density [kg/m3] of decayed dentin from its softness, 0 (sound) to 1 (fully softened), linear."""
     return _SOUND_KG_M3 - (_SOUND_KG_M3 - _INFECTED_KG_M3) * softness
 
 
-def caries_softness(density_kg_m3: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Softness of voxels of the layer `caries` from their density [kg/m3]: (2100 - density)/800, held within 0 to 1.
+def caries_softness(density_kg_m3: Floats) -> Floats:
+    """Compute the softness of the layer `caries` from its density [kg/m3]: (2100 - density)/800, kept within 0 to 1.
 
     0 is sound dentin, 1 fully softened, infected dentin. Only for voxels of that layer: sound tissues have densities of
     their own.
@@ -69,9 +81,40 @@ def caries_softness(density_kg_m3: NDArray[np.floating]) -> NDArray[np.floating]
     return np.clip((_SOUND_KG_M3 - density) / (_SOUND_KG_M3 - _INFECTED_KG_M3), 0.0, 1.0)
 
 
-def in_chunks(function: Callable[[NDArray[np.floating]], NDArray[Kind]], points: NDArray[np.floating]) -> NDArray[Kind]:
+def in_chunks(function: Callable[[Floats], NDArray[Kind]], points: Floats) -> NDArray[Kind]:
     """Apply a function of points, shape (n, 3), to parts that fit the processor's cache."""
     if len(points) <= _POINTS_AT_ONCE:
         return function(points)
     starts = range(0, len(points), _POINTS_AT_ONCE)
     return np.concatenate([function(np.asfortranarray(points[k : k + _POINTS_AT_ONCE])) for k in starts])
+
+
+def require_known(names: Iterable[str], argument: str) -> None:
+    """Raise for names that are not layers of a tooth, and for a tooth without enamel or dentin."""
+    given = list(names)
+    for name in given:
+        if name not in TOOTH_LAYERS:
+            raise InputError(f"{argument} must name layers of {', '.join(TOOTH_LAYERS)}, got {name}: rename it")
+    for name in ("enamel", "dentin"):
+        if name not in given:
+            raise InputError(
+                f"{argument} must give enamel and dentin, got {', '.join(given) or 'none'}: add the {name}"
+            )
+
+
+def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: float) -> None:
+    """Raise for a longest side [mm] that no tooth has, and suggest a value of the argument that sets it.
+
+    Parameters
+    ----------
+    argument, given
+        Argument that sets the size, and its value.
+    per_unit
+        Size relative to that value: voxels along the side, or file units.
+    """
+    if _SMALLEST_MM <= size_mm <= _LARGEST_MM:
+        return
+    raise InputError(
+        f"{argument} must make the tooth {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm long, got {given}, which makes it "
+        f"{size_mm:.3g} mm: use the scanner's value, about {_TYPICAL_MM / per_unit:.1g}"
+    )

@@ -20,11 +20,13 @@ cervical line to bone          1.5 mm         M, H: 1 to 2 in health
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_ranges
+from meshes.base.arrays import Bytes, Floats
+from meshes.base.errors import InputError
+from meshes.base.ranged import Ranged, ranged
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, box
 from meshes.tooth.layers import (
@@ -41,7 +43,7 @@ from meshes.tooth.layers import (
 )
 from meshes.tooth.molar_parts import Crown, Root, mandibular_roots, outer_shape, pulp_shape, tooth_distance
 
-__all__ = ["molar"]
+__all__ = ["MolarSizes", "molar"]
 
 _CREST_M = 1.5e-3
 _LEAST_OVER_PULP_M = 0.3e-3
@@ -49,101 +51,102 @@ _SHALLOWEST_LESION_M = 0.1e-3
 _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.float32)
 
 
-def molar(
-    *,
-    crown_width_mm: float = 11.0,
-    crown_length_mm: float = 10.5,
-    crown_height_mm: float = 7.5,
-    root_length_mm: float = 14.0,
-    enamel_thickness_mm: float = 2.2,
-    cusp_height_mm: float = 1.8,
-    pulp_roof_mm: float = 5.0,
-    ligament_thickness_mm: float = 0.22,
-    socket_mm: float = 2.5,
-    caries_depth_mm: float = 0.0,
-    caries_diameter_mm: float = 3.0,
-) -> Anatomy:
-    """Lower first molar in its socket, in the site frame of teeth.
+@dataclass(frozen=True)
+class MolarSizes(Ranged):
+    """Sizes of a lower first molar.
+
+    Attributes
+    ----------
+    crown_width_mm, crown_length_mm
+        Mesiodistal and buccolingual size of the crown at its widest [mm].
+    crown_height_mm
+        Buccal cervical line to the highest cusp tip [mm].
+    root_length_mm
+        Buccal cervical line to the apices [mm].
+    enamel_thickness_mm
+        Thickness over the highest cusp along z [mm]; 62 % of it in the fossa, none at the cervical line.
+    cusp_height_mm
+        Central fossa to the highest cusp tip [mm].
+    pulp_roof_mm
+        Depth of the chamber's roof below the fossa [mm]; the horns rise 0.9 to 1.2 mm above it.
+    ligament_thickness_mm
+        Thickness of the periodontal ligament [mm].
+    socket_mm
+        Bone left around and below the roots in a block with a flat crest [mm].
+    caries_depth_mm
+        Depth of a lesion under the fossa [mm], 0 (none) or 0.1 to 0.3 short of the chamber's roof. Its softness is
+        (1 - r²)², with r the distance from its centre relative to its rim, an ellipsoid from the fossa down;
+        see `meshes.tooth.layers.caries_softness`.
+    caries_diameter_mm
+        Its widest diameter [mm].
+    """
+
+    crown_width_mm: float = ranged(11.0, 9.0, 13.0)
+    crown_length_mm: float = ranged(10.5, 8.5, 12.5)
+    crown_height_mm: float = ranged(7.5, 6.0, 9.5)
+    root_length_mm: float = ranged(14.0, 8.0, 18.0)
+    enamel_thickness_mm: float = ranged(2.2, 1.0, 3.0)
+    cusp_height_mm: float = ranged(1.8, 0.8, 2.5)
+    pulp_roof_mm: float = ranged(5.0, 3.5, 6.5)
+    ligament_thickness_mm: float = ranged(0.22, 0.1, 0.5)
+    socket_mm: float = ranged(2.5, 0.5, 10.0)
+    caries_depth_mm: float = ranged(0.0, 0.0, 6.2, "use 0 for none, or about 3")
+    caries_diameter_mm: float = ranged(3.0, 0.5, 6.0)
+
+
+def molar(**sizes_mm: float) -> Anatomy:
+    """Build a lower first molar in its socket, in the site frame of teeth.
 
     The origin is the bottom of the central fossa on the enamel, where a thin bur that comes down the tooth's long axis
-    first touches; a ball wider than the fossa touches the inclines of the cusps a little above. x points mesially, y
+    first touches. A ball wider than the fossa touches the inclines of the cusps a little above. x points mesially, y
     buccally, z outward (the bur comes from +z), so the roots point to -z.
 
     Parameters
     ----------
-    crown_width_mm, crown_length_mm
-        Mesiodistal (9 to 13) and buccolingual (8.5 to 12.5) size of the crown at its widest [mm].
-    crown_height_mm
-        Buccal cervical line to the highest cusp tip [mm], 6 to 9.5.
-    root_length_mm
-        Buccal cervical line to the apices [mm], 8 to 18.
-    enamel_thickness_mm
-        Thickness over the highest cusp along z [mm], 1 to 3; 62 % of it in the fossa, none at the cervical line.
-    cusp_height_mm
-        Central fossa to the highest cusp tip [mm], 0.8 to 2.5.
-    pulp_roof_mm
-        Depth of the chamber's roof below the fossa [mm], 3.5 to 6.5; the horns rise 0.9 to 1.2 mm above it.
-    ligament_thickness_mm
-        Thickness of the periodontal ligament [mm], 0.1 to 0.5.
-    socket_mm
-        Bone left around and below the roots in a block with a flat crest [mm], 0.5 to 10.
-    caries_depth_mm
-        Depth of a lesion under the fossa [mm], 0 (none) or 0.1 to 0.3 short of the chamber's roof. Its softness is
-        (1 - r²)², r the distance from its centre relative to its rim, an ellipsoid from the fossa down;
-        see `meshes.tooth.layers.caries_softness`.
-    caries_diameter_mm
-        Its widest diameter [mm], 0.5 to 6.
+    **sizes_mm
+        Sizes, see `MolarSizes`.
 
     Raises
     ------
     InputError
-        If a parameter is not finite or out of range, or the chamber or the lesion does not fit.
+        If a size is not finite or out of range, or the chamber or the lesion does not fit.
     """
-    width, length, height, root_length, enamel, cusp, roof, ligament, socket, depth, diameter = (
-        1e-3 * value
-        for value in require_ranges(
-            ("crown_width_mm", crown_width_mm, 9.0, 13.0, "use 11"),
-            ("crown_length_mm", crown_length_mm, 8.5, 12.5, "use 10.5"),
-            ("crown_height_mm", crown_height_mm, 6.0, 9.5, "use 7.5"),
-            ("root_length_mm", root_length_mm, 8.0, 18.0, "use 14"),
-            ("enamel_thickness_mm", enamel_thickness_mm, 1.0, 3.0, "use 2.2"),
-            ("cusp_height_mm", cusp_height_mm, 0.8, 2.5, "use 1.8"),
-            ("pulp_roof_mm", pulp_roof_mm, 3.5, 6.5, "use 5"),
-            ("ligament_thickness_mm", ligament_thickness_mm, 0.1, 0.5, "use 0.22"),
-            ("socket_mm", socket_mm, 0.5, 10.0, "use 2.5"),
-            ("caries_depth_mm", caries_depth_mm, 0.0, 6.2, "use 0 for none, or about 3"),
-            ("caries_diameter_mm", caries_diameter_mm, 0.5, 6.0, "use 3"),
-        )
-    )
+    sizes = MolarSizes(**sizes_mm)
+    depth = 1e-3 * sizes.caries_depth_mm
+    roof = 1e-3 * sizes.pulp_roof_mm
+    height = 1e-3 * sizes.crown_height_mm
+    cusp = 1e-3 * sizes.cusp_height_mm
+    ligament = 1e-3 * sizes.ligament_thickness_mm
     _require_fit(depth, roof, height - cusp)
-    crown = Crown(0.5 * width, 0.5 * length, height, cusp, enamel)
-    roots = mandibular_roots(crown, root_length)
-    tooth = outer_shape(crown, roots)
-    block = _socket(crown, roots, ligament + socket)
-    lesion = (diameter, depth) if depth > 0.0 else None
+    width = 1e-3 * sizes.crown_width_mm
+    length = 1e-3 * sizes.crown_length_mm
+    crown = Crown(0.5 * width, 0.5 * length, height, cusp, 1e-3 * sizes.enamel_thickness_mm)
+    roots = mandibular_roots(crown, 1e-3 * sizes.root_length_mm)
+    whole = outer_shape(crown, roots) | _socket(crown, roots, ligament + 1e-3 * sizes.socket_mm)
+    lesion = (1e-3 * sizes.caries_diameter_mm, depth) if depth > 0.0 else None
     notes = {
-        "crown": f"{crown_width_mm:g} x {crown_length_mm:g} x {crown_height_mm:g} mm, roots {root_length_mm:g} mm",
-        "enamel": f"{enamel_thickness_mm:g} mm over the cusps, {1e3 * crown.fossa_enamel:.2g} mm in the fossa",
-        "pulp": f"roof {pulp_roof_mm:g} mm below the fossa; chamber and canals of a young adult, a prior",
-        "bone": f"one density, a block {socket_mm:g} mm beyond the roots; cortical plate and marrow are one",
-        "caries": f"{caries_depth_mm:g} mm deep, {caries_diameter_mm:g} mm wide" if lesion else "none",
+        "crown": f"{sizes.crown_width_mm:g} x {sizes.crown_length_mm:g} x {sizes.crown_height_mm:g} mm, roots "
+        f"{sizes.root_length_mm:g} mm",
+        "enamel": f"{sizes.enamel_thickness_mm:g} mm over the cusps, {1e3 * crown.fossa_enamel:.2g} mm in the fossa",
+        "pulp": f"roof {sizes.pulp_roof_mm:g} mm below the fossa; chamber and canals of a young adult, a prior",
+        "bone": f"one density, a block {sizes.socket_mm:g} mm beyond the roots; cortical plate and marrow are one",
+        "caries": f"{sizes.caries_depth_mm:g} mm deep, {sizes.caries_diameter_mm:g} mm wide" if lesion else "none",
         "gum and cementum": "not modelled",
     }
     pulp = pulp_shape(crown, roots, roof)
     classify = _layers(crown, roots, pulp, ligament, lesion)
-    whole, parts = tooth | block, {"pulp": pulp}
-    return Anatomy("procedural molar", whole, TOOTH_LAYERS, classify, notes, thin_layers=True, structures=parts)
+    return Anatomy(
+        "procedural molar", whole, TOOTH_LAYERS, classify, notes, thin_layers=True, structures={"pulp": pulp}
+    )
 
 
 def _require_fit(depth: float, roof: float, line: float) -> None:
-    """Refuse a lesion too shallow or too near to the pulp, and a chamber that reaches into the roots.
+    """Raise for a lesion too shallow or too near to the pulp, and for a chamber that reaches into the roots.
 
     Parameters
     ----------
-    depth
-        Of the lesion below the fossa [m], 0 for none.
-    roof, line
-        Depth of the chamber's roof and of the cervical line below the fossa [m].
+    depth, roof, line
+        Depths of the lesion, of the chamber's roof and of the cervical line below the fossa [m].
     """
     if 0.0 < depth < _SHALLOWEST_LESION_M:
         raise InputError(
@@ -163,8 +166,9 @@ def _require_fit(depth: float, roof: float, line: float) -> None:
 
 
 def _socket(crown: Crown, roots: tuple[Root, Root], margin: float) -> Shape:
-    """Block of bone around the roots, its flat crest below the cervical line."""
-    crest, bottom = crown.cervix - _CREST_M, roots[0].top - roots[0].length - margin
+    """Return the block of bone around the roots, its flat crest below the cervical line."""
+    crest = crown.cervix - _CREST_M
+    bottom = roots[0].top - roots[0].length - margin
     width = 2.0 * (max(root.reach_x for root in roots) + margin)
     length = 2.0 * (max(root.radius / root.flattening for root in roots) + margin)
     return box((width, length, crest - bottom), (0.0, 0.0, 0.5 * (crest + bottom)))
@@ -176,18 +180,18 @@ def _layers(
     """Classify by the parts' distances: pulp within dentin within enamel, ligament and bone around the roots."""
     crest = crown.cervix - _CREST_M
 
-    def dentin_distance(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    def dentin_distance(points: Floats) -> Floats:
         return tooth_distance(crown, roots, points, dentin=True)
 
-    def around(points: NDArray[np.floating], distance: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """Ligament or bone for points outside the roots."""
+    def around(points: Floats, distance: Floats) -> Bytes:
+        """Return ligament or bone for points outside the roots."""
         layer = np.full(len(points), BONE, dtype=np.uint8)
         near = np.flatnonzero(distance < 2.0 * ligament)
         layer[near[_true_distance(dentin_distance, points[near], distance[near]) < ligament]] = LIGAMENT
         return layer
 
-    def layer_of(points: NDArray[np.floating]) -> NDArray[np.uint8]:
-        """Layer, shape (n,), of points [m], shape (n, 3)."""
+    def layer_of(points: Floats) -> Bytes:
+        """Return the layer, shape (n,), of points [m], shape (n, 3)."""
         distance = dentin_distance(points)
         layer = np.full(len(points), DENTIN, dtype=np.uint8)
         outside = distance >= 0.0
@@ -200,10 +204,8 @@ def _layers(
         layer[inside[pulp.distance(points[inside]) < 0.0]] = PULP
         return layer
 
-    def classify(
-        points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
-        """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at any depth."""
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
+        """Return layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at any depth."""
         layer = in_chunks(layer_of, points)
         density = _DENSITY[layer]
         if lesion is not None:
@@ -216,19 +218,19 @@ def _layers(
     return classify
 
 
-def _softness(points: NDArray[np.floating], diameter: float, depth: float) -> NDArray[np.floating]:
-    """Softness (1 - r²)², r relative to an ellipsoid that hangs from the fossa; 0 outside."""
+def _softness(points: Floats, diameter: float, depth: float) -> Floats:
+    """Compute the softness (1 - r²)², r relative to an ellipsoid that hangs from the fossa; 0 outside."""
     across = (points[:, 0] ** 2 + points[:, 1] ** 2) * (4.0 / diameter**2)
     along = (points[:, 2] + 0.5 * depth) ** 2 * (4.0 / depth**2)
     return np.maximum(1.0 - across - along, 0.0) ** 2
 
 
 def _true_distance(
-    function: Callable[[NDArray[np.floating]], NDArray[np.floating]],
-    points: NDArray[np.floating],
-    value: NDArray[np.floating],
-) -> NDArray[np.floating]:
-    """First-order distance [m] near the surface: value over slope, by differences of 20 µm."""
+    function: Callable[[Floats], Floats],
+    points: Floats,
+    value: Floats,
+) -> Floats:
+    """Compute the first-order distance [m] near the surface: value over slope, by differences of 20 µm."""
     step = points.dtype.type(20e-6)
     slopes = []
     for axis in range(3):

@@ -7,13 +7,11 @@ that meet in the grooves; roots and canals are round cones about bent axes, flat
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Floats
 from meshes.shapes.sdf import Shape, box, capsule, smooth_maximum, smooth_minimum, union
 
 __all__ = ["Crown", "Root", "mandibular_roots", "outer_shape", "pulp_shape", "tooth_distance"]
-
-Numbers = NDArray[np.floating]
 
 _CUSPS = (
     (0.44, 0.50, 0.90),  # mesiobuccal
@@ -26,16 +24,20 @@ _CUSPS = (
 )
 """Tip over half the crown's width and length, x mesial and y buccal, and height over the highest cusp's."""
 _TRUE_CUSPS = 5
-_TIP_RADIUS_M, _GROOVE_M, _EDGE_M = 0.5e-3, 0.35e-3, 1.0e-3
+_TIP_RADIUS_M = 0.5e-3
+_GROOVE_M = 0.35e-3
+_EDGE_M = 1.0e-3
 _CERVIX = (9.0 / 11.0, 9.0 / 10.5)
 _TABLE = (0.80, 0.78)
 _BULGE = (0.62, 0.45)
 _LINGUAL_LEAN_M = 0.35e-3
-_TRUNK_M, _TRUNK_TAPER = 3.2e-3, 22.0
+_TRUNK_M = 3.2e-3
+_TRUNK_TAPER = 22.0
 _TRUNK_BLEND_M = 1.6e-3
 _CERVICAL_CURVE_M = 0.9e-3
 _FULL_ENAMEL = 0.60
-_FOSSA_ENAMEL, _WALL_ENAMEL = 0.62, 0.62
+_FOSSA_ENAMEL = 0.62
+_WALL_ENAMEL = 0.62
 _STEEPEST = 1.85
 _CANAL_RISE_M = 0.8e-3
 
@@ -73,16 +75,17 @@ class Crown:
         return _FOSSA_ENAMEL * self.enamel
 
     @property
-    def cusp_tips(self) -> Numbers:
+    def cusp_tips(self) -> Floats:
         """Tips of the five cusps [m], shape (5, 3)."""
         scale = np.array([self.half_width, self.half_length, self.cusp_height])
         return np.array(_CUSPS[:_TRUE_CUSPS]) * scale
 
-    def occlusal_height(self, x: Numbers, y: Numbers) -> Numbers:
+    def occlusal_height(self, x: Floats, y: Floats) -> Floats:
         """Height of the chewing surface [m]; each cusp is a cone with a round tip that falls to the fossa."""
         surface = np.full_like(x, -np.inf)
         for along, across, relative in _CUSPS:
-            px, py = along * self.half_width, across * self.half_length
+            px = along * self.half_width
+            py = across * self.half_length
             reach = float(np.hypot(np.hypot(px, py), _TIP_RADIUS_M)) - _TIP_RADIUS_M
             away = np.sqrt((x - px) ** 2 + (y - py) ** 2 + _TIP_RADIUS_M**2) - _TIP_RADIUS_M
             cone = (relative * self.cusp_height) * (1.0 - away / reach)
@@ -97,11 +100,11 @@ class Crown:
             level = float(smooth_maximum(np.array([level]), np.array([0.0]), _GROOVE_M)[0])
         return level
 
-    def cervical_line(self, x: Numbers) -> Numbers:
+    def cervical_line(self, x: Floats) -> Floats:
         """Height of the cervical line [m], which rises on the mesial and distal sides."""
         return self.cervix + _CERVICAL_CURVE_M * np.minimum((x / (_CERVIX[0] * self.half_width)) ** 2, 1.0)
 
-    def wall(self, p: Numbers) -> Numbers:
+    def wall(self, p: Floats) -> Floats:
         """Horizontal distance from the side wall of crown and root trunk [m], negative inside."""
         height = (p[:, 2] - self.cervix) * (1.0 / self.height)
         below = np.maximum(-height, 0.0) * (self.height * _TRUNK_TAPER)
@@ -109,23 +112,24 @@ class Crown:
             size * self._bulge(height, k) * (1.0 - below) for k, size in enumerate((self.half_width, self.half_length))
         ]
         lean = _LINGUAL_LEAN_M * np.clip(height, 0.0, 1.0)
-        u, v = np.abs(p[:, 0]) / half[0], np.abs(p[:, 1] + lean) / half[1]
+        u = np.abs(p[:, 0]) / half[0]
+        v = np.abs(p[:, 1] + lean) / half[1]
         return (np.cbrt(u * u * u + v * v * v) - 1.0) * np.minimum(half[0], half[1])
 
     @staticmethod
-    def _bulge(height: Numbers, axis: int) -> Numbers:
+    def _bulge(height: Floats, axis: int) -> Floats:
         """Half width over the widest, at heights of 0 (cervix) to 1 (cusp tips)."""
         widest = _BULGE[axis]
         low = np.clip((widest - height) / widest, 0.0, 1.0)
         high = np.clip((height - widest) / (1.0 - widest), 0.0, 1.2)
         return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
 
-    def outside(self, p: Numbers) -> Numbers:
+    def outside(self, p: Floats) -> Floats:
         """Distance from crown and trunk [m], taken along z under the chewing surface, horizontally at the wall."""
         top = p[:, 2] - self.occlusal_height(p[:, 0], p[:, 1])
         return smooth_maximum(self.wall(p), top, _EDGE_M)
 
-    def outside_dentin(self, p: Numbers) -> Numbers:
+    def outside_dentin(self, p: Floats) -> Floats:
         """As `outside` for the dentin under the enamel; the same below the cervical line."""
         height = self.occlusal_height(p[:, 0], p[:, 1])
         relative = np.clip(height / self.cusp_height, 0.0, 1.0)
@@ -166,17 +170,17 @@ class Root:
         axis = self.axis[0] + u * (self.axis[1] + u * self.axis[2])
         return float(np.max(np.abs(axis) + self.radius + u * (self.apex_radius - self.radius)))
 
-    def centre_x(self, z: Numbers) -> Numbers:
+    def centre_x(self, z: Floats) -> Floats:
         """x of the axis [m] at the heights z [m]."""
         u = np.clip((self.top - z) * (1.0 / self.length), 0.0, 1.0)
         return self.axis[0] + u * (self.axis[1] + u * self.axis[2])
 
-    def distance(self, p: Numbers) -> Numbers:
+    def distance(self, p: Floats) -> Floats:
         """Distance bound [m], negative inside: exact along x, short along y by the flattening."""
         across = np.sqrt((p[:, 0] - self.centre_x(p[:, 2])) ** 2 + (self.flattening * p[:, 1]) ** 2)
         return _round_cone(across, self.top - p[:, 2], self.radius, self.apex_radius, self.length - self.apex_radius)
 
-    def canal(self, p: Numbers, *, radius: float, offset: tuple[float, float]) -> Numbers:
+    def canal(self, p: Floats, *, radius: float, offset: tuple[float, float]) -> Floats:
         """Distance [m] from a canal along the root's axis, shifted along y by `offset` at its top and apex [m]."""
         depth = self.top + _CANAL_RISE_M - p[:, 2]
         u = np.clip(depth * (1.0 / self.length), 0.0, 1.0)
@@ -196,7 +200,7 @@ def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
     return mesial, distal
 
 
-def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Numbers, *, dentin: bool) -> Numbers:
+def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin: bool) -> Floats:
     """Distance [m] from the whole tooth, or from its dentin with the pulp filled in; negative inside."""
     head = crown.outside_dentin(p) if dentin else crown.outside(p)
     furcation = (crown.cervix - _TRUNK_M) - p[:, 2]
@@ -229,7 +233,7 @@ def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
         chamber = union(chamber, horn, blend_m=0.5e-3)
     mesial, distal = roots
 
-    def canals(p: Numbers) -> Numbers:
+    def canals(p: Floats) -> Floats:
         pair = np.minimum(
             mesial.canal(p, radius=0.42e-3, offset=(1.5e-3, 0.7e-3)),
             mesial.canal(p, radius=0.42e-3, offset=(-1.5e-3, -0.7e-3)),
@@ -239,7 +243,7 @@ def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
     return union(chamber, Shape(canals), blend_m=0.8e-3)
 
 
-def _round_cone(across: Numbers, along: Numbers, radius: float, end_radius: float, length: float) -> Numbers:
+def _round_cone(across: Floats, along: Floats, radius: float, end_radius: float, length: float) -> Floats:
     """Distance [m] from the hull of two balls on an axis, the second `length` farther along (I. Quilez)."""
     sine = (radius - end_radius) / length
     cosine = float(np.sqrt(1.0 - sine * sine))

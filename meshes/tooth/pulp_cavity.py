@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Bytes, Flags, Singles
 from meshes.tooth.layers import DENTIN, ENAMEL, LAYER_DENSITY_KG_M3, PULP
 from meshes.voxels.volume import FULL, VoxelVolume
 
@@ -48,8 +48,8 @@ class PulpCavity:
     """
 
     tooth: VoxelVolume
-    inside: NDArray[np.bool_]
-    away_m: NDArray[np.float32]
+    inside: Flags
+    away_m: Singles
 
     @classmethod
     def of(cls, tooth: VoxelVolume) -> PulpCavity | None:
@@ -86,14 +86,14 @@ class PulpCavity:
         """Its volume [m3]."""
         return float(np.count_nonzero(self.inside)) * self.tooth.voxel_volume_m3
 
-    def voxels(self, volume: VoxelVolume) -> NDArray[np.bool_]:
+    def voxels(self, volume: VoxelVolume) -> Flags:
         """Voxels of the same tooth, of any size, that lie in the cavity: bool, shape of the volume."""
         index = np.nonzero(volume.fraction < FULL / 2)
         cavity = np.zeros(volume.shape, dtype=bool)
         cavity[index] = self.holds(np.stack([volume.centres_m(axis)[k] for axis, k in enumerate(index)]))
         return cavity
 
-    def holds(self, empty_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def holds(self, empty_m: Array) -> Flags:
         """Whether points outside all layers [m], shape (3, n), lie in the cavity, shape (n,)."""
         from scipy.ndimage import map_coordinates
 
@@ -106,25 +106,28 @@ class PulpCavity:
         return held
 
     @cached_property
-    def _near(self) -> NDArray[np.bool_]:
+    def _near(self) -> Flags:
         """Its voxels and those that touch them by a face."""
         from scipy.ndimage import binary_dilation
 
         return np.asarray(binary_dilation(self.inside))
 
 
-def with_pulp(volume: VoxelVolume, cavity: NDArray[np.bool_]) -> VoxelVolume:
+def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
     """The volume with its cavity filled by pulp, and the voxels along the cavity's wall filled up as what they are."""
     from scipy.ndimage import binary_dilation
 
-    fraction, layer, density = volume.fraction.copy(), volume.layer.copy(), volume.density_kg_m3.copy()
+    fraction = volume.fraction.copy()
+    layer = volume.layer.copy()
+    density = volume.density_kg_m3.copy()
     fraction[binary_dilation(cavity) & (fraction > 0)] = FULL
-    fraction[cavity], layer[cavity] = FULL, PULP
+    fraction[cavity] = FULL
+    layer[cavity] = PULP
     density[cavity] = round(LAYER_DENSITY_KG_M3["pulp"])
     return replace(volume, fraction=fraction, layer=layer, density_kg_m3=density)
 
 
-def _is_closed(piece: NDArray[np.bool_], empty: NDArray[np.bool_], neck: float, spacing_m: float) -> bool:
+def _is_closed(piece: Flags, empty: Flags, neck: float, spacing_m: float) -> bool:
     """Return whether the openings of a void are as small as foramina and lie in the roots.
 
     Parameters
@@ -151,7 +154,7 @@ def _is_closed(piece: NDArray[np.bool_], empty: NDArray[np.bool_], neck: float, 
     return in_crown <= _CROWN_LEAK_M2 and bool((areas <= _LARGEST_MOUTH_M2).all())
 
 
-def _in_dentin(piece: NDArray[np.bool_], empty: NDArray[np.bool_], layer: NDArray[np.uint8]) -> bool:
+def _in_dentin(piece: Flags, empty: Flags, layer: Bytes) -> bool:
     """Return whether most of the wall of a void is dentin."""
     from scipy.ndimage import binary_dilation
 

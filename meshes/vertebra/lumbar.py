@@ -23,27 +23,35 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_ranges
+from meshes.base.arrays import Array, Bytes, Floats
+from meshes.base.errors import InputError
+from meshes.base.ranged import Ranged, ranged
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, capsule, union
 
-__all__ = ["VERTEBRA_LAYERS", "lumbar_vertebra"]
+__all__ = ["VERTEBRA_LAYERS", "VertebraSizes", "lumbar_vertebra"]
 
 VERTEBRA_LAYERS = ("cortical", "endplate", "trabecular")
-_CORTICAL_KG_M3, _ENDPLATE_KG_M3, _TRABECULAR_KG_M3, _PEDICLE_KG_M3 = 1800.0, 1200.0, 180.0, 280.0
+_CORTICAL_KG_M3 = 1800.0
+_ENDPLATE_KG_M3 = 1200.0
+_TRABECULAR_KG_M3 = 180.0
+_PEDICLE_KG_M3 = 280.0
 _WAIST = 0.08
-_ENDPLATE_M, _BODY_CORTEX_M = 0.6e-3, 0.4e-3
-_LAMINA_M, _RAISED_M, _BLEND_M = 7e-3, 6e-3, 3e-3
-_SPINOUS_M, _TRANSVERSE_M = 32e-3, 21e-3
+_ENDPLATE_M = 0.6e-3
+_BODY_CORTEX_M = 0.4e-3
+_LAMINA_M = 7e-3
+_RAISED_M = 6e-3
+_BLEND_M = 3e-3
+_SPINOUS_M = 32e-3
+_TRANSVERSE_M = 21e-3
 _ENTRY_M = 19e-3
 """From the back wall of the body to the entry behind the pedicle, along its axis: pedicle and pars, a prior."""
 _REACH_M = 75e-3
 
 
 @dataclass(frozen=True)
-class _Sizes:
+class _HalfSizes:
     """Half sizes [m] in the frame of the body: x left, y back, z up, the origin in its centre."""
 
     width: float
@@ -61,88 +69,99 @@ class _Sizes:
         return self.depth + self.canal_depth
 
     @property
-    def isthmus(self) -> NDArray[np.float64]:
+    def isthmus(self) -> Array:
         """Middle of the narrowest part of the left pedicle [m]: beside the canal, cortex to cortex."""
         return np.array([self.canal_width + self.pedicle_width / math.cos(self.angle), self.depth + 4e-3, _RAISED_M])
 
     @property
-    def axis(self) -> NDArray[np.float64]:
+    def axis(self) -> Array:
         """Unit vector along the left pedicle, backward and outward."""
         return np.array([math.sin(self.angle), math.cos(self.angle), 0.0])
 
     @property
-    def entry(self) -> NDArray[np.float64]:
+    def entry(self) -> Array:
         """Point of the axis behind the pedicle that is about the entry [m]."""
         return self.isthmus + (_ENTRY_M - 4e-3) * self.axis
 
 
-def lumbar_vertebra(
-    *,
-    body_width_mm: float = 48.0,
-    body_depth_mm: float = 34.5,
-    body_height_mm: float = 25.0,
-    canal_width_mm: float = 25.4,
-    canal_depth_mm: float = 18.6,
-    pedicle_width_mm: float = 12.9,
-    pedicle_height_mm: float = 14.8,
-    pedicle_angle_deg: float = 17.7,
-    pedicle_cortex_mm: float = 1.0,
-) -> Anatomy:
-    """Lumbar vertebra in the site frame of its left pedicle; its structure `canal` is the spinal canal.
+@dataclass(frozen=True)
+class VertebraSizes(Ranged):
+    """Sizes of a lumbar vertebra.
+
+    Attributes
+    ----------
+    body_width_mm, body_depth_mm, body_height_mm
+        The body from side to side, front to back and in height [mm].
+    canal_width_mm, canal_depth_mm
+        Width and depth of the elliptic spinal canal [mm].
+    pedicle_width_mm, pedicle_height_mm
+        Width and height of the elliptic pedicle [mm].
+    pedicle_angle_deg
+        Angle by which the pedicle leans medially toward the front [degrees].
+    pedicle_cortex_mm
+        Thickness of the cortex of pedicle and arch [mm], less than a third of the pedicle's width.
+    """
+
+    body_width_mm: float = ranged(48.0, 36.0, 60.0)
+    body_depth_mm: float = ranged(34.5, 26.0, 45.0)
+    body_height_mm: float = ranged(25.0, 20.0, 34.0)
+    canal_width_mm: float = ranged(25.4, 16.0, 32.0)
+    canal_depth_mm: float = ranged(18.6, 11.0, 26.0)
+    pedicle_width_mm: float = ranged(12.9, 5.0, 22.0)
+    pedicle_height_mm: float = ranged(14.8, 8.0, 22.0)
+    pedicle_angle_deg: float = ranged(17.7, 0.0, 35.0)
+    pedicle_cortex_mm: float = ranged(1.0, 0.3, 3.0)
+
+
+def lumbar_vertebra(**sizes: float) -> Anatomy:
+    """Build a lumbar vertebra in the site frame of its left pedicle; its structure `canal` is the spinal canal.
 
     The origin lies on the bone where the axis of the left pedicle leaves it behind, z points backward out of the bone
     along that axis, y upward, x across, so that the canal lies at positive x.
 
     Parameters
     ----------
-    body_width_mm, body_depth_mm, body_height_mm
-        The body from side to side (36 to 60), front to back (26 to 45) and in height (20 to 34) [mm].
-    canal_width_mm, canal_depth_mm
-        Width (16 to 32) and depth (11 to 26) of the elliptic spinal canal [mm].
-    pedicle_width_mm, pedicle_height_mm
-        Width (5 to 22) and height (8 to 22) of the elliptic pedicle [mm].
-    pedicle_angle_deg
-        By which the pedicle leans medially toward the front [degrees], 0 to 35.
-    pedicle_cortex_mm
-        Thickness of the cortex of pedicle and arch [mm], 0.3 to 3, less than a third of the pedicle's width.
+    **sizes
+        Sizes, see `VertebraSizes`.
 
     Raises
     ------
     InputError
-        If a parameter is not finite or out of range, or the cortex fills the pedicle.
+        If a size is not finite or out of range, or the cortex fills the pedicle.
     """
-    values = require_ranges(
-        ("body_width_mm", body_width_mm, 36.0, 60.0, "use 48"),
-        ("body_depth_mm", body_depth_mm, 26.0, 45.0, "use 34.5"),
-        ("body_height_mm", body_height_mm, 20.0, 34.0, "use 25"),
-        ("canal_width_mm", canal_width_mm, 16.0, 32.0, "use 25.4"),
-        ("canal_depth_mm", canal_depth_mm, 11.0, 26.0, "use 18.6"),
-        ("pedicle_width_mm", pedicle_width_mm, 5.0, 22.0, "use 12.9"),
-        ("pedicle_height_mm", pedicle_height_mm, 8.0, 22.0, "use 14.8"),
-        ("pedicle_angle_deg", pedicle_angle_deg, 0.0, 35.0, "use 17.7"),
-        ("pedicle_cortex_mm", pedicle_cortex_mm, 0.3, 3.0, "use 1"),
+    given = VertebraSizes(**sizes)
+    cortex = 1e-3 * given.pedicle_cortex_mm
+    half = _HalfSizes(
+        0.5e-3 * given.body_width_mm,
+        0.5e-3 * given.body_depth_mm,
+        0.5e-3 * given.body_height_mm,
+        0.5e-3 * given.canal_width_mm,
+        0.5e-3 * given.canal_depth_mm,
+        0.5e-3 * given.pedicle_width_mm,
+        0.5e-3 * given.pedicle_height_mm,
+        math.radians(given.pedicle_angle_deg),
     )
-    *lengths, degrees, cortex_mm = values
-    cortex, half = 1e-3 * cortex_mm, [0.5e-3 * length for length in lengths]
-    sizes = _Sizes(half[0], half[1], half[2], half[3], half[4], half[5], half[6], math.radians(degrees))
-    if cortex > 0.66 * sizes.pedicle_width:
+    if cortex > 0.66 * half.pedicle_width:
         raise InputError(
-            f"pedicle_cortex_mm must be less than a third of pedicle_width_mm ({pedicle_width_mm:g}), got "
-            f"{pedicle_cortex_mm:g}: use 1"
+            f"pedicle_cortex_mm must be less than a third of pedicle_width_mm ({given.pedicle_width_mm:g}), got "
+            f"{given.pedicle_cortex_mm:g}: use 1"
         )
-    bone, canal = _bone(sizes), _canal(sizes)
+    bone = _bone(half)
+    canal = _canal(half)
     whole = Shape(lambda p: np.maximum(bone.distance(p), -canal.distance(p)), bone.lower_m, bone.upper_m)
-    entry = sizes.entry
+    entry = half.entry
     along = np.linspace(-5e-3, 25e-3, 6001)
-    held = whole.distance(entry + along[:, None] * sizes.axis) < 0.0
-    origin = entry + along[np.flatnonzero(held)[-1]] * sizes.axis
-    x, z = np.array([-sizes.axis[1], sizes.axis[0], 0.0]), sizes.axis
+    held = whole.distance(entry + along[:, None] * half.axis) < 0.0
+    origin = entry + along[np.flatnonzero(held)[-1]] * half.axis
+    x = np.array([-half.axis[1], half.axis[0], 0.0])
+    z = half.axis
     turn = np.column_stack([x, np.cross(z, x), z])
     notes = {
-        "body": f"{body_width_mm:g} x {body_depth_mm:g} x {body_height_mm:g} mm",
-        "pedicle": f"{pedicle_width_mm:g} x {pedicle_height_mm:g} mm, {pedicle_angle_deg:g} degrees; the left one",
-        "canal": f"an ellipse of {canal_width_mm:g} x {canal_depth_mm:g} mm, straight",
-        "cortex": f"{pedicle_cortex_mm:g} mm around pedicle and arch, {1e3 * _BODY_CORTEX_M:g} around the body",
+        "body": f"{given.body_width_mm:g} x {given.body_depth_mm:g} x {given.body_height_mm:g} mm",
+        "pedicle": f"{given.pedicle_width_mm:g} x {given.pedicle_height_mm:g} mm, {given.pedicle_angle_deg:g} degrees; "
+        "the left one",
+        "canal": f"an ellipse of {given.canal_width_mm:g} x {given.canal_depth_mm:g} mm, straight",
+        "cortex": f"{given.pedicle_cortex_mm:g} mm around pedicle and arch, {1e3 * _BODY_CORTEX_M:g} around the body",
         "trabecular density": f"{_TRABECULAR_KG_M3:g} kg/m3, {_PEDICLE_KG_M3:g} in pedicle and arch: priors of low "
         "confidence",
         "facets": "not modelled",
@@ -151,14 +170,14 @@ def lumbar_vertebra(
         "procedural lumbar vertebra",
         _placed(whole, turn, origin),
         VERTEBRA_LAYERS,
-        _layers(sizes, cortex, turn, origin),
+        _layers(half, cortex, turn, origin),
         notes,
         structures={"canal": _placed(canal, turn, origin)},
     )
 
 
-def _bone(sizes: _Sizes) -> Shape:
-    """The outer surface with the canal filled, in the frame of the body."""
+def _bone(sizes: _HalfSizes) -> Shape:
+    """Return the outer surface with the canal filled, in the frame of the body."""
     pedicles = Shape(lambda p: _pedicles(sizes, p))
     body = Shape(lambda p: _body(sizes, p))
     back = sizes.canal_y + sizes.canal_depth
@@ -176,34 +195,38 @@ def _bone(sizes: _Sizes) -> Shape:
     return Shape(bone.distance, tuple(-r for r in reach), reach)
 
 
-def _body(sizes: _Sizes, p: NDArray[np.floating]) -> NDArray[np.floating]:
-    """An elliptic column with a waist, [m]."""
+def _body(sizes: _HalfSizes, p: Floats) -> Floats:
+    """Compute the distance from an elliptic column with a waist [m]."""
     share = np.clip(p[:, 2] / sizes.height, -1.0, 1.0)
     narrowed = 1.0 - _WAIST * (1.0 - share**2)
     column = _ellipse(p[:, 0], p[:, 1], sizes.width * narrowed, sizes.depth * narrowed)
     return np.asarray(0.9 * np.maximum(column, np.abs(p[:, 2]) - sizes.height))  # the waist's slope is 0.2 at most
 
 
-def _pedicles(sizes: _Sizes, p: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Elliptic columns along both axes from within the body to the entry, [m]."""
-    centre, axis = sizes.isthmus.astype(p.dtype), sizes.axis.astype(p.dtype)
-    x, y, z = np.abs(p[:, 0]) - centre[0], p[:, 1] - centre[1], p[:, 2] - centre[2]
-    along, across = x * axis[0] + y * axis[1], x * axis[1] - y * axis[0]
+def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
+    """Compute the distance from elliptic columns along both axes, from within the body to the entry [m]."""
+    centre = sizes.isthmus.astype(p.dtype)
+    axis = sizes.axis.astype(p.dtype)
+    x = np.abs(p[:, 0]) - centre[0]
+    y = p[:, 1] - centre[1]
+    z = p[:, 2] - centre[2]
+    along = x * axis[0] + y * axis[1]
+    across = x * axis[1] - y * axis[0]
     column = _ellipse(across, z, sizes.pedicle_width, sizes.pedicle_height)
     ends = np.abs(along - 0.5 * (_ENTRY_M - 4e-3 - 14e-3)) - 0.5 * (_ENTRY_M - 4e-3 + 14e-3)
     return np.asarray(np.maximum(column, ends))
 
 
-def _arch(sizes: _Sizes, p: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Lamina: a wall around the canal, behind the middle of the pedicles, [m]."""
+def _arch(sizes: _HalfSizes, p: Floats) -> Floats:
+    """Compute the distance from the lamina, a wall around the canal behind the middle of the pedicles [m]."""
     y = p[:, 1] - sizes.canal_y
     outer = _ellipse(p[:, 0], y, sizes.canal_width + _LAMINA_M, sizes.canal_depth + _LAMINA_M)
     tall = np.abs(p[:, 2] + 1e-3) - (sizes.height - 3e-3)
     return np.asarray(np.maximum.reduce([outer, tall, -y]))
 
 
-def _canal(sizes: _Sizes) -> Shape:
-    """The spinal canal: an elliptic column through the vertebra, [m]."""
+def _canal(sizes: _HalfSizes) -> Shape:
+    """Return the spinal canal, an elliptic column through the vertebra."""
     return Shape(
         lambda p: _ellipse(p[:, 0], p[:, 1] - sizes.canal_y, sizes.canal_width, sizes.canal_depth),
         (-sizes.canal_width, sizes.canal_y - sizes.canal_depth, -math.inf),
@@ -211,34 +234,33 @@ def _canal(sizes: _Sizes) -> Shape:
     )
 
 
-def _ellipse(
-    x: NDArray[np.floating], y: NDArray[np.floating], a: float | NDArray[np.floating], b: float | NDArray[np.floating]
-) -> NDArray[np.floating]:
-    """Signed distance from an ellipse of half axes a and b [m]: the nearest point by three steps, to 1e-5 of its size.
+def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floats:
+    """Compute the signed distance from an ellipse of half axes a and b [m] by three steps, to 1e-5 of its size.
 
     Each step takes the ellipse for its circle of curvature at the last point (A. Nash, "Computing the distance between
     a point and an ellipse"), from the direction of 45 degrees.
     """
-    px, py = np.abs(x), np.abs(y)
+    px = np.abs(x)
+    py = np.abs(y)
     tx = ty = np.full_like(px, math.sqrt(0.5))
     for _ in range(4):
-        ex, ey = (a * a - b * b) * tx**3 / a, (b * b - a * a) * ty**3 / b
+        ex = (a * a - b * b) * tx**3 / a
+        ey = (b * b - a * a) * ty**3 / b
         r = np.hypot(a * tx - ex, b * ty - ey)
         q = np.maximum(np.hypot(px - ex, py - ey), 1e-12)
         tx = np.clip(((px - ex) * r / q + ex) / a, 0.0, 1.0)
         ty = np.clip(((py - ey) * r / q + ey) / b, 0.0, 1.0)
         size = np.maximum(np.hypot(tx, ty), 1e-12)
-        tx, ty = tx / size, ty / size
+        tx = tx / size
+        ty = ty / size
     away = np.hypot(px - a * tx, py - b * ty)
     return np.asarray(np.where((px / a) ** 2 + (py / b) ** 2 < 1.0, -away, away).astype(x.dtype))
 
 
-def _layers(sizes: _Sizes, cortex: float, turn: NDArray[np.float64], origin: NDArray[np.float64]) -> Classify:
+def _layers(sizes: _HalfSizes, cortex: float, turn: Array, origin: Array) -> Classify:
     """Classify by depth: thin shell and endplates around the body, a thicker cortex around the rest."""
 
-    def classify(
-        points: NDArray[np.floating], depth: NDArray[np.floating]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
         """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below the surface [m]."""
         p = points @ turn.T.astype(points.dtype) + origin.astype(points.dtype)
         behind = np.clip((p[:, 1] - sizes.depth + 4e-3) / 4e-3, 0.0, 1.0)
@@ -252,8 +274,8 @@ def _layers(sizes: _Sizes, cortex: float, turn: NDArray[np.float64], origin: NDA
     return classify
 
 
-def _placed(shape: Shape, turn: NDArray[np.float64], origin: NDArray[np.float64]) -> Shape:
-    """A shape of the body's frame in the site frame, whose axes are the columns of `turn`."""
+def _placed(shape: Shape, turn: Array, origin: Array) -> Shape:
+    """Move a shape from the body's frame to the site frame, whose axes are the columns of `turn`."""
     corners = np.array(np.meshgrid(*np.clip(np.array([shape.lower_m, shape.upper_m]), -_REACH_M, _REACH_M).T))
     seen = (corners.reshape(3, -1).T - origin) @ turn
     return Shape(

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Bytes, Flags, Floats, Ints, Singles, lattice
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.shapes.sdf import Shape
@@ -21,24 +22,24 @@ from meshes.voxels.distances import INSIDE, OUTSIDE, surface_steps
 from meshes.voxels.grid import BLOCK, Grid
 from meshes.voxels.volume import FULL
 
-__all__ = ["VoxelArrays", "fill_from_shape", "shape_fraction", "voxel_fraction"]
+__all__ = ["VoxelArrays", "centres_of", "fill_from_shape", "voxel_fraction"]
 
 _BLOCKS_AT_ONCE = 256
 _WIDEST_INTERPOLATION_M = 1.0e-3
 _HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
 _SHARP_BEND = 0.1
 _PARTS = 4
-_LOCAL = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+_LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelArrays:
     """The arrays of a `VoxelVolume` while they are filled, over a blocked grid, all of its shape."""
 
-    fraction: NDArray[np.uint8]
-    layer: NDArray[np.uint8]
+    fraction: Bytes
+    layer: Bytes
     density: NDArray[np.uint16]
-    surface: NDArray[np.uint8]
+    surface: Bytes
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> VoxelArrays:
@@ -54,13 +55,13 @@ class VoxelArrays:
 
 def voxel_fraction(
     shape: Shape,
-    centres: NDArray[np.float32],
-    distance: NDArray[np.float32],
+    centres: Singles,
+    distance: Singles,
     spacing_m: float,
     *,
     split_creases: bool = True,
-) -> NDArray[np.float32]:
-    """Part of each voxel inside the shape, the surface taken as a plane within the voxel.
+) -> Singles:
+    """Compute the part of each voxel inside the shape, the surface being a plane within the voxel.
 
     Where the distance bends sharply within a voxel (an edge or corner), the voxel is split into 4 x 4 x 4 and each part
     taken as crossed by a plane of its own.
@@ -82,8 +83,11 @@ def voxel_fraction(
     crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * spacing_m)
     if len(crossed) == 0:
         return fraction
-    points, middle, step = centres[crossed], distance[crossed], np.float32(0.25 * spacing_m)
-    gradient, bend = np.empty((len(crossed), 3), dtype=np.float32), np.zeros(len(crossed), dtype=np.float32)
+    points = centres[crossed]
+    middle = distance[crossed]
+    step = np.float32(0.25 * spacing_m)
+    gradient = np.empty((len(crossed), 3), dtype=np.float32)
+    bend = np.zeros(len(crossed), dtype=np.float32)
     for axis in range(3):
         shift = step * np.eye(3, dtype=np.float32)[axis]
         forward, backward = (shape.distance(np.asfortranarray(points + sign * shift)) for sign in (1, -1))
@@ -98,10 +102,10 @@ def voxel_fraction(
     return fraction
 
 
-def _split_fraction(shape: Shape, centres: NDArray[np.float32], spacing_m: float) -> NDArray[np.float32]:
-    """Fraction of voxels from 4 x 4 x 4 parts each, shape (n,)."""
+def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles:
+    """Compute the fraction of voxels from 4 x 4 x 4 parts each, shape (n,)."""
     offsets = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5).astype(np.float32) * np.float32(spacing_m)
-    local = np.stack(np.meshgrid(offsets, offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 3)
+    local = lattice(offsets, offsets, offsets)
     points = np.asfortranarray((centres[:, None, :] + local).reshape(-1, 3))
     parts = voxel_fraction(shape, points, shape.distance(points), spacing_m / _PARTS, split_creases=False)
     return parts.reshape(len(centres), -1).mean(axis=1)
@@ -110,7 +114,7 @@ def _split_fraction(shape: Shape, centres: NDArray[np.float32], spacing_m: float
 def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
     """Fill `out` over the blocked `grid` from the anatomy's signed distance."""
     firsts = grid.block_firsts()
-    distance = anatomy.shape.distance(_centres(firsts, grid.spacing_m, 0.5 * BLOCK))
+    distance = anatomy.shape.distance(centres_of(firsts, grid.spacing_m, 0.5 * BLOCK))
     reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
     solid = distance <= -reach
     mixed = ~solid & (distance < reach)
@@ -124,7 +128,7 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
         blocks[2][_index(plain, blocks[2])] = np.rint(_interpolated(corners[1], grid, plain))
         mixed |= solid & ~plain
     for chosen in _chunks(np.flatnonzero(mixed)):
-        points = _centres((firsts[chosen, None, :] + _LOCAL).reshape(-1, 3), grid.spacing_m, 0.5)
+        points = centres_of((firsts[chosen, None, :] + _LOCAL).reshape(-1, 3), grid.spacing_m, 0.5)
         depth = anatomy.shape.distance(points)
         fraction = voxel_fraction(anatomy.shape, points, depth, grid.spacing_m)
         layer, density = anatomy.classify(points, -depth)
@@ -136,25 +140,8 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
             block[where] = values.reshape(-1, BLOCK, BLOCK, BLOCK)
 
 
-def shape_fraction(shape: Shape, grid: Grid) -> NDArray[np.float32]:
-    """Part of each voxel of the blocked `grid` inside the shape, 0 to 1, float32, shape of the grid."""
-    result = np.zeros(grid.shape, dtype=np.float32)
-    firsts = grid.block_firsts()
-    distance = shape.distance(_centres(firsts, grid.spacing_m, 0.5 * BLOCK))
-    reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
-    blocks = _by_blocks(result)
-    blocks[_index(distance <= -reach, blocks)] = 1.0
-    for chosen in _chunks(np.flatnonzero(np.abs(distance) < reach)):
-        points = _centres((firsts[chosen, None, :] + _LOCAL).reshape(-1, 3), grid.spacing_m, 0.5)
-        fraction = voxel_fraction(shape, points, shape.distance(points), grid.spacing_m)
-        blocks[np.unravel_index(chosen, blocks.shape[:3])] = fraction.reshape(-1, BLOCK, BLOCK, BLOCK)
-    return result
-
-
-def _uniform_blocks(
-    anatomy: Anatomy, grid: Grid
-) -> tuple[NDArray[np.bool_], tuple[NDArray[np.uint8], NDArray[np.floating]]]:
-    """Blocks with one layer at all corners of their own and of their neighbours; layer and corner densities.
+def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, Floats]]:
+    """Find blocks with one layer at all corners of their own and of their neighbours.
 
     Returns
     -------
@@ -164,23 +151,23 @@ def _uniform_blocks(
     counts = [n // BLOCK for n in grid.shape]
     axes = [np.arange(f - BLOCK, e + BLOCK + 1, BLOCK) for f, e in zip(grid.first, grid.last, strict=True)]
     size = [len(axis) for axis in axes]
-    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = _centres(lattice, grid.spacing_m, 0.0)
+    points = centres_of(lattice(*axes), grid.spacing_m, 0.0)
     layer, density = anatomy.classify(points, -anatomy.shape.distance(points))
-    layer, density = layer.reshape(size), density.reshape(size)
+    layer = layer.reshape(size)
+    density = density.reshape(size)
     core = tuple(slice(1, 1 + n) for n in counts)
     same = _over_windows(np.maximum, layer) == _over_windows(np.minimum, layer)
     same &= BLOCK * grid.spacing_m <= _WIDEST_INTERPOLATION_M
     return same.ravel(), (layer[core].ravel(), density[1:-1, 1:-1, 1:-1])
 
 
-def _over_windows(combine: np.ufunc, values: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
     """Combine each window of 4 x 4 x 4 lattice points, the corners of a block and of its neighbours."""
     windows = np.lib.stride_tricks.sliding_window_view(values, (4, 4, 4))
     return np.asarray(combine.reduce(windows, axis=(3, 4, 5)), dtype=np.uint8)
 
 
-def _interpolated(corners: NDArray[np.floating], grid: Grid, chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
     """Trilinear interpolation to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
     bx, by, bz = np.unravel_index(np.flatnonzero(chosen), [n // BLOCK for n in grid.shape])
     values = np.empty((len(bx), 2, 2, 2), dtype=np.float32)
@@ -194,8 +181,8 @@ def _interpolated(corners: NDArray[np.floating], grid: Grid, chosen: NDArray[np.
     return values
 
 
-def _centres(index: NDArray[np.int64], spacing_m: float, shift: float) -> NDArray[np.float32]:
-    """Coordinates [m] of the voxel numbers shifted by `shift` spacings, float32, shape (n, 3), stored by columns."""
+def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
+    """Return coordinates [m] of voxel numbers shifted by `shift` spacings, float32, shape (n, 3), stored by columns."""
     return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
 
 
@@ -205,7 +192,7 @@ def _by_blocks(array: NDArray[np.generic]) -> NDArray[np.generic]:
     return array.reshape(nx, BLOCK, ny, BLOCK, nz, BLOCK).transpose(0, 2, 4, 1, 3, 5)
 
 
-def _index(flags: NDArray[np.bool_], blocks: NDArray[np.generic]) -> tuple[NDArray[np.intp], ...]:
+def _index(flags: Flags, blocks: NDArray[np.generic]) -> tuple[NDArray[np.intp], ...]:
     return np.unravel_index(np.flatnonzero(flags), blocks.shape[:3])
 
 

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array, Flags, Floats, Ints
 
 __all__ = ["ColumnCrossings", "column_crossings", "inside_scattered", "lowest_and_highest", "triangles_meeting"]
 
@@ -24,14 +25,12 @@ class ColumnCrossings:
         +1 where the line enters the solid, -1 where it leaves, shape (n,).
     """
 
-    line: NDArray[np.int64]
-    height: NDArray[np.float64]
-    entering: NDArray[np.int64]
+    line: Ints
+    height: Array
+    entering: Ints
 
 
-def column_crossings(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], x: NDArray[np.float64], y: NDArray[np.float64]
-) -> ColumnCrossings:
+def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> ColumnCrossings:
     """Cross the vertical lines through each (x, y) with the triangles and keep where the winding number turns positive.
 
     An edge shared by two triangles is tested with the same arithmetic for both, so a line passes through one of them.
@@ -65,9 +64,7 @@ def column_crossings(
     return _turning(np.concatenate(lines), np.concatenate(heights), np.concatenate(signs))
 
 
-def inside_scattered(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.floating]
-) -> NDArray[np.bool_]:
+def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
     """Whether points [m], shape (n, 3), lie where the winding number is positive, each by the vertical line through it.
 
     Triangles are sorted into square columns, so that a point is tested against those of its column.
@@ -89,7 +86,8 @@ def inside_scattered(
     done = 0
     while done < len(points):
         stop = max(int(np.searchsorted(ends, (ends[done - 1] if done else 0) + _PAIRS_AT_ONCE)), done + 1)
-        part, many = np.arange(done, stop), pairs[done:stop]
+        part = np.arange(done, stop)
+        many = pairs[done:stop]
         point = np.repeat(part, many)
         nth = np.arange(len(point)) - np.repeat(np.cumsum(many) - many, many)
         tested = triangle[starts[at[point]] + nth]
@@ -103,9 +101,7 @@ def inside_scattered(
     return inside
 
 
-def _by_column(
-    corners: NDArray[np.float64], low: NDArray[np.float64], edge: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Ints, Ints]:
     """Triangles whose box meets each of count x count columns, column after column, and where each begins."""
     boxes = np.stack([corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)])
     first, last = np.clip(np.floor((boxes - low) / edge), 0, count - 1).astype(np.int64)
@@ -113,25 +109,23 @@ def _by_column(
     columns = wide.prod(axis=1)
     triangle = np.repeat(np.arange(len(corners)), columns)
     within = np.arange(len(triangle)) - np.repeat(np.cumsum(columns) - columns, columns)
-    x, y = first[triangle, 0] + within // wide[triangle, 1], first[triangle, 1] + within % wide[triangle, 1]
+    x = first[triangle, 0] + within // wide[triangle, 1]
+    y = first[triangle, 1] + within % wide[triangle, 1]
     column = x * count + y
     order = np.argsort(column, kind="stable")
     return triangle[order], np.searchsorted(column[order], np.arange(count**2 + 1))
 
 
-def triangles_meeting(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], axis: int, low: float, high: float
-) -> NDArray[np.int64]:
+def triangles_meeting(vertices: Array, faces: Ints, axis: int, low: float, high: float) -> Ints:
     """Triangles whose box meets an interval along an axis."""
-    below, above = vertices[:, axis] < low, vertices[:, axis] > high
+    below = vertices[:, axis] < low
+    above = vertices[:, axis] > high
     a, b, c = faces.T
     outside = (below[a] & below[b] & below[c]) | (above[a] & above[b] & above[c])
     return faces[~outside]
 
 
-def _covered(
-    corners: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _covered(corners: Array, x: Array, y: Array) -> tuple[Ints, Ints]:
     """First line and number of lines along x and y within each triangle's box, each shape (m, 2)."""
     boxes = [lowest_and_highest(*corners[:, :, k].T) for k in range(2)]
     first = [np.searchsorted(axis, low) for axis, (low, _) in zip((x, y), boxes, strict=True)]
@@ -139,21 +133,19 @@ def _covered(
     return np.stack(first, axis=1), np.stack(last, axis=1) - np.stack(first, axis=1)
 
 
-def lowest_and_highest(
-    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def lowest_and_highest(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
     """Lowest and highest of three arrays, element by element; NumPy is slow along an axis of three."""
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 def _crossed(
-    corners: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    first: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    corners: Array,
+    faces: Ints,
+    first: Ints,
+    counts: Ints,
+    x: Array,
+    y: Array,
+) -> tuple[Ints, Array, Ints]:
     """Line, height and sign (+1 entering) of each crossing of the triangles with the lines in their boxes."""
     pairs = counts[:, 0] * counts[:, 1]
     triangle = np.repeat(np.arange(len(pairs)), pairs)
@@ -165,20 +157,23 @@ def _crossed(
 
 
 def _met(
-    corners: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    triangle: NDArray[np.int64],
-    px: NDArray[np.float64],
-    py: NDArray[np.float64],
-) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int64]]:
+    corners: Array,
+    faces: Ints,
+    triangle: Ints,
+    px: Array,
+    py: Array,
+) -> tuple[Flags, Array, Ints]:
     """Which vertical lines through (px, py) meet their triangle; height and sign (+1 entering) of those that do."""
     edge_normal = np.empty((3, len(triangle)))
     hit = np.ones(len(triangle), dtype=bool)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    a = corners[:, 0]
+    b = corners[:, 1]
+    c = corners[:, 2]
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     facing = np.sign(area).astype(np.int64)
     for k in range(3):
-        one, two = (k + 1) % 3, (k + 2) % 3
+        one = (k + 1) % 3
+        two = (k + 2) % 3
         backward = faces[:, one] > faces[:, two]
         start = np.where(backward[:, None], corners[:, two], corners[:, one])
         end = np.where(backward[:, None], corners[:, one], corners[:, two])
@@ -187,18 +182,21 @@ def _met(
         hit &= (side >= 0.0) == ((facing > 0) != backward)[triangle]
         edge_normal[k] = np.where(backward[triangle], -side, side)
     hit &= facing[triangle] != 0
-    triangle, edge_normal = triangle[hit], edge_normal[:, hit]
+    triangle = triangle[hit]
+    edge_normal = edge_normal[:, hit]
     height = (edge_normal * corners[triangle, :, 2].T).sum(axis=0) / area[triangle]
     low, high = lowest_and_highest(*corners[triangle, :, 2].T)
     return hit, np.clip(height, low, high), -facing[triangle]
 
 
-def _turning(line: NDArray[np.int64], height: NDArray[np.float64], sign: NDArray[np.int64]) -> ColumnCrossings:
+def _turning(line: Ints, height: Array, sign: Ints) -> ColumnCrossings:
     """Keep the crossings where the winding number becomes positive or ceases to be."""
     if len(line) == 0:
         return ColumnCrossings(line, height, sign)
     order = np.lexsort((height, line))
-    line, height, sign = line[order], height[order], sign[order]
+    line = line[order]
+    height = height[order]
+    sign = sign[order]
     starts = np.concatenate([[True], line[1:] != line[:-1]])
     running = np.cumsum(sign)
     base = np.repeat((running - sign)[starts], np.diff(np.append(np.flatnonzero(starts), len(line))))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints
 from meshes.shapes.plane_cube import cube_fraction
 from meshes.voxels.layer_changes import boundary_of_layers
 from meshes.voxels.volume import VoxelVolume
@@ -26,21 +26,23 @@ __all__ = [
 
 SURFACE_STEPS = 63
 """Steps a voxel; they reach two voxels."""
-SURFACE_ZERO, INSIDE, OUTSIDE = 128, 2, 254
+SURFACE_ZERO = 128
+INSIDE = 2
+OUTSIDE = 254
 """Stored surface distance on the surface itself, and two voxels or more inside and outside it."""
 _BISECTIONS = 14
 _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for k in o) <= 5]) - 2
 
 
-def surface_steps(distance: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Stored surface distance of signed distances [voxel], negative inside."""
+def surface_steps(distance: Floats) -> Bytes:
+    """Convert signed distances [voxel], negative inside, to stored surface distances."""
     return np.clip(np.rint(SURFACE_ZERO + SURFACE_STEPS * distance), INSIDE, OUTSIDE).astype(np.uint8)
 
 
 def near_the_surface(
     volume: VoxelVolume,
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint16], NDArray[np.uint8]]:
-    """Surface distance, layer, density and boundary distance of a volume, each of its shape.
+) -> tuple[Bytes, Bytes, NDArray[np.uint16], Bytes]:
+    """Return surface distance, layer, density and boundary distance of a volume, each of its shape.
 
     Layer and density go on beyond the surface, as far as its distance is known: a point between the last voxel centre
     in the bone and the first one outside lies in a layer too.
@@ -53,23 +55,26 @@ def near_the_surface(
 
 
 def carried_beyond(
-    fraction: NDArray[np.uint8], surface: NDArray[np.uint8], layer: NDArray[np.uint8], density: NDArray[np.uint16]
-) -> tuple[NDArray[np.uint8], NDArray[np.uint16], NDArray[np.bool_]]:
-    """Layer and density with those of the outermost voxels carried on beyond the surface, and where they are known."""
-    layer, density, known = layer.copy(), density.copy(), fraction > 0
+    fraction: Bytes, surface: Bytes, layer: Bytes, density: NDArray[np.uint16]
+) -> tuple[Bytes, NDArray[np.uint16], Flags]:
+    """Carry layer and density of the outermost voxels on beyond the surface; return also where they are known."""
+    layer = layer.copy()
+    density = density.copy()
+    known = fraction > 0
     for _ in range(2):
         wanted = (surface < OUTSIDE) & ~known
         for axis in range(3):
             for low, high in (_halves(axis), _halves(axis)[::-1]):
                 taken = wanted[low] & known[high]
-                layer[low][taken], density[low][taken] = layer[high][taken], density[high][taken]
+                layer[low][taken] = layer[high][taken]
+                density[low][taken] = density[high][taken]
                 known[low] |= taken
                 wanted[low] &= ~taken
     return layer, density, known
 
 
-def surface_of_fractions(fraction: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Stored surface distance of voxels of which only the filled fraction is known, uint8, shape (nx, ny, nz).
+def surface_of_fractions(fraction: Bytes) -> Bytes:
+    """Compute the stored surface distance of voxels from their filled fractions, uint8, shape (nx, ny, nz).
 
     In each voxel that the surface crosses, or beside which it passes, the plane that leaves the fraction behind it, its
     direction the gradient of the fractions; near those, the mean over their planes. Beyond the array there is no bone.
@@ -84,7 +89,8 @@ def surface_of_fractions(fraction: NDArray[np.uint8]) -> NDArray[np.uint8]:
     share = padded[crossed] / 255.0
     total = np.abs(normal).sum(axis=1)
     distance = _plane_distance(share, normal)
-    known, planes = np.full(padded.shape, -1, dtype=np.int32), len(at)
+    known = np.full(padded.shape, -1, dtype=np.int32)
+    planes = len(at)
     known[crossed] = np.arange(planes, dtype=np.int32)
     near = np.argwhere(_grown(_grown(crossed)))
     summed, weights = np.zeros((2, len(near)))
@@ -104,19 +110,21 @@ def surface_of_fractions(fraction: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(result[3:-3, 3:-3, 3:-3])
 
 
-def _plane_distance(share: NDArray[np.floating], normal: NDArray[np.floating]) -> Array:
-    """Signed distance of unit cubes' centres from the plane with a normal that leaves a share of them behind it."""
+def _plane_distance(share: Floats, normal: Floats) -> Array:
+    """Compute the signed distance of unit cubes' centres from the plane that leaves a share of them behind it."""
     half = 0.5 * np.abs(normal).sum(axis=1)
-    low, high = -half, half.copy()
+    low = -half
+    high = half.copy()
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         more = cube_fraction(middle, normal) > share
-        low, high = np.where(more, middle, low), np.where(more, high, middle)
+        low = np.where(more, middle, low)
+        high = np.where(more, high, middle)
     return np.asarray(0.5 * (low + high))
 
 
-def _outward(fraction: NDArray[np.uint8], at: Ints) -> Array:
-    """Unit vector down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3); z where there is none."""
+def _outward(fraction: Bytes, at: Ints) -> Array:
+    """Return unit vectors down the gradient of the fractions in 3 x 3 x 3 voxels, shape (n, 3); z where it is zero."""
     slope = np.zeros((len(at), 3))
     for offset in np.array(list(np.ndindex(3, 3, 3))) - 1:
         if offset.any():
@@ -126,8 +134,8 @@ def _outward(fraction: NDArray[np.uint8], at: Ints) -> Array:
     return slope / np.linalg.norm(slope, axis=1)[:, None]
 
 
-def _beside(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Voxels of either kind that share a face with one of the other kind."""
+def _beside(one: Flags, other: Flags) -> Flags:
+    """Flag voxels of either kind that share a face with one of the other kind."""
     met = np.zeros(one.shape, dtype=bool)
     for axis in range(3):
         a, b = _halves(axis)
@@ -137,8 +145,8 @@ def _beside(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> NDArray[np.bool
     return met
 
 
-def _grown(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Flagged voxels and all that touch them."""
+def _grown(flags: Flags) -> Flags:
+    """Flag all voxels that touch flagged ones, too."""
     grown = flags.copy()
     for axis in range(3):
         a, b = _halves(axis)
@@ -149,7 +157,8 @@ def _grown(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """All but the last and all but the first along an axis."""
+    """Return slices of all but the last and all but the first along an axis."""
     low, high = ([slice(None)] * 3 for _ in range(2))
-    low[axis], high[axis] = slice(0, -1), slice(1, None)
+    low[axis] = slice(0, -1)
+    high[axis] = slice(1, None)
     return tuple(low), tuple(high)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array, Ints, lattice
 
 __all__ = ["BLOCK", "Grid"]
 
@@ -38,7 +39,7 @@ class Grid:
         return x, y, z
 
     @property
-    def origin_m(self) -> NDArray[np.float64]:
+    def origin_m(self) -> Array:
         """Lowest corner [m], shape (3,)."""
         return np.array(self.first) * self.spacing_m
 
@@ -52,7 +53,8 @@ class Grid:
         """Part with the local x numbers `start` to `stop`."""
         return Grid(self.spacing_m, (self.first[0] + start, *self.first[1:]), (stop - start, *self.shape[1:]))
 
-    def block_firsts(self) -> NDArray[np.int64]:
+    def block_firsts(self) -> Ints:
         """Number of the lowest voxel of each block of a blocked grid, shape (n, 3), in C order of the blocks."""
         axes = [np.arange(f, e, BLOCK) for f, e in zip(self.first, self.last, strict=True)]
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        firsts: Ints = lattice(*axes)
+        return firsts

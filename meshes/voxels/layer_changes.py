@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints, Singles
 
 __all__ = ["FAR", "LayerAt", "boundary_of_layers", "layer_boundary"]
 
@@ -19,16 +19,24 @@ BOUNDARY_STEPS = 127
 """Steps a voxel; they reach two voxels."""
 FAR = 254
 """Stored distance where no layer changes within two voxels, or in no cell that the voxel is a corner of."""
-_UNKNOWN, _PADDED, _AT_ONCE = 255, 6, 1 << 18
-_STRIDE, _HALVINGS = 0.5, 5
-_WIDE, _NARROW = 6.0, 3.0
-_DISAGREES, _REACH = 0.25, 2
+_UNKNOWN = 255
+_PADDED = 6
+_AT_ONCE = 1 << 18
+_STRIDE = 0.5
+_HALVINGS = 5
+"""Steps [voxel] that bracket a change along a direction, and how often the bracket is halved."""
+_WIDE = 6.0
+_NARROW = 3.0
+"""Radii of the balls [voxel] whose shares give the distance."""
+_DISAGREES = 0.25
+_REACH = 2
+"""A label this far [voxel] from its place makes the narrow ball count in this reach [voxel]."""
 
-LayerAt = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
+LayerAt = Callable[[Singles], Bytes]
 """Points [voxel], shape (n, 3), to their layers, shape (n,)."""
 
 
-def layer_boundary(layer: NDArray[np.uint8], known: NDArray[np.bool_], layer_at: LayerAt) -> NDArray[np.uint8]:
+def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
     """Stored distance of each voxel's centre to the nearest change of layer, shape (nx, ny, nz).
 
     The voxels of other layers around a voxel give the direction; along it the change is bracketed in half voxels, then
@@ -50,7 +58,8 @@ def layer_boundary(layer: NDArray[np.uint8], known: NDArray[np.bool_], layer_at:
     toward = _sums(codes, chosen, offsets, 60 // np.maximum((offsets**2).sum(axis=1), 1) * offsets.T)[1].T
     length = np.linalg.norm(toward, axis=1)
     found = length > 0.0
-    chosen, direction = chosen[found], toward[found] / length[found, None]
+    chosen = chosen[found]
+    direction = toward[found] / length[found, None]
     distance = np.empty(len(chosen), dtype=np.float32)
     for start in range(0, len(chosen), 1 << 16):
         part = slice(start, start + (1 << 16))
@@ -59,7 +68,7 @@ def layer_boundary(layer: NDArray[np.uint8], known: NDArray[np.bool_], layer_at:
     return _stored(codes, chosen, distance)
 
 
-def boundary_of_layers(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
     """Stored distance to the nearest change of layer of voxels of which only the layer is known.
 
     From the share of a voxel's layer in the ball of six voxels around it, see `_ball`; of three voxels where labels
@@ -82,21 +91,22 @@ def boundary_of_layers(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> ND
     return _stored(codes, chosen, np.maximum(distance, least))
 
 
-def _codes(layer: NDArray[np.uint8], known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _codes(layer: Bytes, known: Flags) -> Bytes:
     """Layers with a border around them, 255 there and where they are not known."""
     return np.pad(np.where(known, layer, np.uint8(_UNKNOWN)), _PADDED, constant_values=_UNKNOWN)
 
 
-def _stored(codes: NDArray[np.uint8], chosen: NDArray[np.intp], distance: NDArray[np.floating]) -> NDArray[np.uint8]:
+def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
     """Distances [voxel] of the chosen voxels as bytes, `FAR` elsewhere, without the border."""
     result = np.full(codes.shape, FAR, dtype=np.uint8)
     result.ravel()[chosen] = np.rint(np.minimum(BOUNDARY_STEPS * distance, FAR))
     return np.ascontiguousarray(result[(slice(_PADDED, -_PADDED),) * 3])
 
 
-def _in_mixed_cells(codes: NDArray[np.uint8]) -> NDArray[np.intp]:
+def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
     """Flat indices of the known voxels in cells, 2 x 2 x 2 voxels, in which two neighbours differ in layer."""
-    flat, steps = codes.ravel(), _strides(codes)
+    flat = codes.ravel()
+    steps = _strides(codes)
     mixed = np.zeros(flat.shape, dtype=bool)
     for axis, step in enumerate(steps):
         differ = np.flatnonzero(flat[:-step] != flat[step:])
@@ -110,14 +120,14 @@ def _in_mixed_cells(codes: NDArray[np.uint8]) -> NDArray[np.intp]:
     return chosen[flat[chosen] != _UNKNOWN]
 
 
-def _sums(
-    codes: NDArray[np.uint8], at: NDArray[np.intp], offsets: Ints, weights: NDArray[np.generic]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _sums(codes: Bytes, at: NDArray[np.intp], offsets: Ints, weights: NDArray[np.generic]) -> tuple[Singles, Singles]:
     """Weighted sums over the known voxels around each, of its own layer and of others, each shape (rows, n).
 
     ``weights`` has the shape (rows, offsets); whole numbers up to 2**24 in all are summed exactly, on any machine.
     """
-    flat, shifts, weights = codes.ravel(), (offsets @ _strides(codes))[:, None], weights.astype(np.float32)
+    flat = codes.ravel()
+    shifts = (offsets @ _strides(codes))[:, None]
+    weights = weights.astype(np.float32)
     inside, outside = np.empty((2, len(weights), len(at)), dtype=np.float32)
     count = _AT_ONCE // len(offsets)
     for start in range(0, len(at), count):
@@ -129,7 +139,7 @@ def _sums(
     return inside, outside
 
 
-def _distance_of_share(codes: NDArray[np.uint8], at: NDArray[np.intp], radius: float) -> Array:
+def _distance_of_share(codes: Bytes, at: NDArray[np.intp], radius: float) -> Array:
     """Distance [voxel] to the plane that leaves a voxel's own share of a ball around it; negative beyond the plane."""
     offsets, weights, share, distance = _ball(radius)
     same, other = (sums[0].astype(np.float64) for sums in _sums(codes, at, offsets, weights))
@@ -164,14 +174,12 @@ def _offsets(radius: float) -> Ints:
     return offsets[(offsets**2).sum(axis=1) < radius**2]
 
 
-def _strides(array: NDArray[np.uint8]) -> Ints:
+def _strides(array: Bytes) -> Ints:
     """Steps along each axis in the flat array."""
     return np.array([array.shape[1] * array.shape[2], array.shape[2], 1])
 
 
-def _distance(
-    at: Ints, this: NDArray[np.uint8], direction: NDArray[np.float32], layer_at: LayerAt
-) -> NDArray[np.float32]:
+def _distance(at: Ints, this: Bytes, direction: Singles, layer_at: LayerAt) -> Singles:
     """Distance [voxel] from voxel centres along a direction to where the layer changes, at most 2, shape (n,)."""
     centre = at.astype(np.float32) + np.float32(0.5)
     low, high = np.zeros((2, len(at)), dtype=np.float32)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshes.base.arrays import Array, Flags, Floats, Ints, Singles
 from meshes.base.simplices import compact
 from meshes.voxels.column_crossings import column_crossings, lowest_and_highest, triangles_meeting
 from meshes.voxels.grid import Grid
@@ -38,16 +38,16 @@ class TriangleSampler:
         on that side. Infinite: the depth is right everywhere.
     """
 
-    vertices_m: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    vertices_m: Array
+    faces: Ints
     threshold_m: float = np.inf
 
     @cached_property
-    def _along_x(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _along_x(self) -> tuple[Array, Array]:
         """Lowest and highest x of each triangle [m], shape (m,): grids are slabs along x."""
         return lowest_and_highest(*np.ascontiguousarray(self.vertices_m[:, 0])[self.faces].T)
 
-    def _within(self, grid: Grid, margin: float, axes: int) -> NDArray[np.int64]:
+    def _within(self, grid: Grid, margin: float, axes: int) -> Ints:
         """Triangles whose box meets that of the grid, grown by a margin [m], along its first `axes` axes."""
         low = np.array(grid.first) * grid.spacing_m - margin
         high = np.array(grid.last) * grid.spacing_m + margin
@@ -56,7 +56,7 @@ class TriangleSampler:
             faces = triangles_meeting(self.vertices_m, faces, axis, low[axis], high[axis])
         return faces
 
-    def __call__(self, grid: Grid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def __call__(self, grid: Grid) -> tuple[Singles, Singles]:
         """Fraction 0 to 1 and depth [m], positive inside, float32, shape of the blocked grid.
 
         The depth is found only in lattice cells with bone in them; elsewhere it means nothing.
@@ -64,7 +64,7 @@ class TriangleSampler:
         fraction = self._fraction(grid)
         return fraction, self._depth(grid, fraction)
 
-    def _fraction(self, grid: Grid) -> NDArray[np.float32]:
+    def _fraction(self, grid: Grid) -> Singles:
         nx, ny, nz = grid.shape
         pitch = grid.spacing_m / _LINES
         x = ((np.arange(nx * _LINES) + grid.first[0] * _LINES + 0.5) + _OFFSET[0]) * pitch
@@ -72,7 +72,8 @@ class TriangleSampler:
         crossings = column_crossings(self.vertices_m, self._within(grid, grid.spacing_m, 2), x, y)
         level = np.clip(crossings.height / grid.spacing_m - grid.first[2], 0.0, nz)
         voxel = np.minimum(level.astype(np.int64), nz - 1)
-        row, column = crossings.line // len(y) // _LINES, crossings.line % len(y) // _LINES
+        row = crossings.line // len(y) // _LINES
+        column = crossings.line % len(y) // _LINES
         flat = (row * ny + column) * (nz + 1) + voxel
         size = nx * ny * (nz + 1)
         covered = crossings.entering * (voxel + 1 - level)
@@ -81,12 +82,14 @@ class TriangleSampler:
         filled = np.cumsum(change.reshape(nx, ny, nz + 1), axis=2)[:, :, :nz] / _LINES**2
         return np.clip(filled, 0.0, 1.0).astype(np.float32)
 
-    def _depth(self, grid: Grid, fraction: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _depth(self, grid: Grid, fraction: Singles) -> Singles:
         step = next((n for n in (8, 4, 2) if n * grid.spacing_m <= _WIDEST_LATTICE_M), 1)
         bx, by, bz = (n // step for n in grid.shape)
         cells = fraction.reshape(bx, step, by, step, bz, step).max(axis=(1, 3, 5)) > 0.0
         corners = np.zeros((bx + 1, by + 1, bz + 1), dtype=np.float32)
-        vertices, faces, margin = self.vertices_m, self.faces, np.inf
+        vertices = self.vertices_m
+        faces = self.faces
+        margin = np.inf
         if np.isfinite(self.threshold_m):
             margin = self.threshold_m + _CELLS_BEYOND * max(_WIDEST_LATTICE_M, grid.spacing_m)
             vertices, faces = compact(self.vertices_m, self._within(grid, margin, 3))
@@ -104,18 +107,18 @@ class TriangleSampler:
             corners[needed] = np.where(np.abs(depth) >= margin, np.abs(depth), depth)
         weight = ((np.arange(step) + 0.5) / step).astype(np.float32)
         for axis in range(3):
-            low, high = np.delete(corners, -1, axis=axis), np.delete(corners, 0, axis=axis)
+            low = np.delete(corners, -1, axis=axis)
+            high = np.delete(corners, 0, axis=axis)
             shape = list(low.shape)
             shape[axis] *= step
             along = weight.reshape([-1 if k == axis + 1 else 1 for k in range(4)])
-            low, high = np.expand_dims(low, axis + 1), np.expand_dims(high, axis + 1)
+            low = np.expand_dims(low, axis + 1)
+            high = np.expand_dims(high, axis + 1)
             corners = (low + (high - low) * along).reshape(shape)
         return corners
 
 
-def _beyond(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.floating], threshold: float
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> tuple[Flags, Flags]:
     """Which points, shape (n, 3), are surely farther from the triangles than a threshold [m], and which surely nearer.
 
     No point of a triangle is farther from its nearest corner than its longest side over the root of three (Jung).
@@ -131,7 +134,7 @@ def _beyond(
     return to_vertex >= surely, to_vertex < threshold
 
 
-def _corners_of(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _corners_of(cells: Flags) -> Flags:
     """Lattice points at the corners of cells."""
     points = np.zeros(np.add(cells.shape, 1), dtype=bool)
     for i, j, k in np.ndindex(2, 2, 2):
@@ -139,14 +142,12 @@ def _corners_of(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return points
 
 
-def _whole_cells(points: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _whole_cells(points: Flags) -> Flags:
     """Cells all of whose corners are among the lattice points."""
     return ~_corners_of(~points)[1:-1, 1:-1, 1:-1]
 
 
-def triangle_distance(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.floating]
-) -> NDArray[np.float64]:
+def triangle_distance(vertices: Array, faces: Ints, points: Floats) -> Array:
     """Signed distance [m] of points [m], shape (n, 3), from the surface, negative inside, shape (n,)."""
     import pyvista
 
@@ -158,9 +159,7 @@ def triangle_distance(
     return np.asarray(found["implicit_distance"], dtype=np.float64)
 
 
-def nearest_on_triangles(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def nearest_on_triangles(vertices: Array, faces: Ints, points: Array) -> Array:
     """Point of the surface nearest to each point [m], shape (n, 3)."""
     import pyvista
 

@@ -3,13 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError, require_positive, require_vector
 from meshes.base.placement import Placement
 
-__all__ = ["FULL", "VoxelVolume"]
+__all__ = ["FULL", "VoxelVolume", "density_volume"]
 
+DENSEST_KG_M3 = 2e4
 FULL = 255
 """Stored fraction of a voxel that is bone throughout."""
 
@@ -46,15 +48,15 @@ class VoxelVolume:
         If arrays differ in shape or type, are not C-contiguous, or a layer has no name.
     """
 
-    origin_m: NDArray[np.float64]
+    origin_m: Array
     spacing_m: float
-    fraction: NDArray[np.uint8]
-    layer: NDArray[np.uint8]
+    fraction: Bytes
+    layer: Bytes
     density_kg_m3: NDArray[np.uint16]
     layer_names: tuple[str, ...]
     placement: Placement | None = None
-    surface_distance: NDArray[np.uint8] | None = None
-    layer_distance: NDArray[np.uint8] | None = None
+    surface_distance: Bytes | None = None
+    layer_distance: Bytes | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_m", require_vector("origin_m", self.origin_m))
@@ -79,7 +81,7 @@ class VoxelVolume:
         return self.spacing_m**3
 
     @property
-    def bounds_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def bounds_m(self) -> tuple[Array, Array]:
         """Lowest and highest corner of the block [m], each shape (3,)."""
         return self.origin_m, self.origin_m + self.spacing_m * np.array(self.shape)
 
@@ -96,7 +98,7 @@ class VoxelVolume:
         inside = True if layer is None else self.layer == self.layer_names.index(layer)
         return float(np.sum(self.fraction, where=inside, dtype=np.int64)) / FULL * self.voxel_volume_m3
 
-    def centres_m(self, axis: int) -> NDArray[np.float64]:
+    def centres_m(self, axis: int) -> Array:
         """Coordinates [m] of the voxel centres along one axis, shape (n_axis,)."""
         return self.origin_m[axis] + self.spacing_m * (np.arange(self.shape[axis]) + 0.5)
 
@@ -112,3 +114,65 @@ def _require_array(name: str, array: NDArray[np.generic], dtype: type, shape: tu
             f"{name} must be a C-contiguous {np.dtype(dtype)} array, got {array.dtype}: "
             f"use numpy.ascontiguousarray(array, dtype='{np.dtype(dtype)}')"
         )
+
+
+def density_volume(
+    density_kg_m3: ArrayLike,
+    *,
+    spacing_mm: float,
+    origin_mm: ArrayLike = (0.0, 0.0, 0.0),
+    layer: ArrayLike | None = None,
+    layer_names: tuple[str, ...] = ("bone",),
+    margin: int = 0,
+) -> VoxelVolume:
+    """Return voxels that are bone throughout where the density is not 0.
+
+    Parameters
+    ----------
+    density_kg_m3
+        Apparent density of each voxel [kg/m3], shape (nx, ny, nz), 0 to 20000.
+    spacing_mm
+        Edge of a voxel [mm].
+    origin_mm
+        Corner of the first voxel with the lowest coordinates [mm].
+    layer
+        Number of each voxel's layer, same shape; default all 0.
+    layer_names
+        Name of each layer.
+    margin
+        Empty voxels added on each side. Without any, the force on a cutter at bone that fills the array to its edge
+        is up to 3 % low, because the surface is interpolated between voxels on both sides of it.
+
+    Raises
+    ------
+    InputError
+        If an array has another shape, is not finite or out of range, or holds no bone.
+    """
+    density = np.asarray(density_kg_m3, dtype=np.float64)
+    if density.ndim != 3 or 0 in density.shape:
+        raise InputError(f"density_kg_m3 must have the shape (nx, ny, nz), got {density.shape}: give one value a voxel")
+    if not np.isfinite(density).all() or density.min() < 0.0 or density.max() > DENSEST_KG_M3:
+        raise InputError(
+            f"density_kg_m3 must be finite from 0 to {DENSEST_KG_M3:g}, got {density.min():g} to {density.max():g}: 0 "
+            "is no bone, 1800 is cortical bone"
+        )
+    if not density.any():
+        raise InputError("density_kg_m3 must hold bone, got 0 everywhere: give its density where there is bone")
+    numbers = np.zeros(density.shape, dtype=np.uint8) if layer is None else np.asarray(layer)
+    if numbers.shape != density.shape or numbers.min() < 0 or numbers.max() >= len(layer_names):
+        raise InputError(
+            f"layer must have the shape {density.shape} with numbers from 0 to {len(layer_names) - 1}, got shape "
+            f"{numbers.shape} with {numbers.min()} to {numbers.max()}: name every layer in layer_names"
+        )
+    spacing_m = 1e-3 * require_positive("spacing_mm", spacing_mm, "use about 0.1")
+    origin_m = 1e-3 * require_vector("origin_mm", np.asarray(origin_mm, dtype=np.float64))
+    density = np.pad(density, margin)
+    numbers = np.pad(numbers, margin, mode="edge")
+    return VoxelVolume(
+        origin_m - margin * spacing_m,
+        spacing_m,
+        np.where(density > 0.0, np.uint8(FULL), np.uint8(0)),
+        np.ascontiguousarray(numbers, dtype=np.uint8),
+        np.rint(density).astype(np.uint16),
+        tuple(layer_names),
+    )

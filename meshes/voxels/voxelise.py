@@ -5,13 +5,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Singles, lattice
 from meshes.base.errors import InputError, require_positive
 from meshes.shapes.anatomy import Anatomy, GridSampler
 from meshes.shapes.sdf import Shape
-from meshes.voxels.block_sampling import VoxelArrays, fill_from_shape, shape_fraction
+from meshes.voxels.block_sampling import VoxelArrays, centres_of, fill_from_shape, voxel_fraction
 from meshes.voxels.distances import (
     OUTSIDE,
     carried_beyond,
@@ -41,7 +40,7 @@ def voxelise(
     minus: Shape | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Voxels of an anatomy, in its site frame.
+    """Convert an anatomy to voxels, in its site frame.
 
     Grid lines lie on whole multiples of the spacing, so a voxel has the same content whatever region is asked for. A
     voxel that the surface crosses holds the part of its cube behind the surface's tangent plane (an error of second
@@ -77,7 +76,8 @@ def voxelise(
     def fill(start: int) -> None:
         """Fill the slab that begins at a row of blocks."""
         stop = min(start + thickness, blocked.shape[0])
-        slab, part = blocked.slab(start, stop), arrays.slab(start, stop)
+        slab = blocked.slab(start, stop)
+        part = arrays.slab(start, stop)
         if anatomy.sample is None:
             fill_from_shape(anatomy, slab, part)
         else:
@@ -90,22 +90,34 @@ def voxelise(
             if progress is not None:
                 progress(done / len(starts))
     kept = tuple(slice(f - b, f - b + n) for f, b, n in zip(grid.first, blocked.first, grid.shape, strict=True))
-    fraction, layer = np.ascontiguousarray(arrays.fraction[kept]), np.ascontiguousarray(arrays.layer[kept])
-    density, surface = np.ascontiguousarray(arrays.density[kept]), np.ascontiguousarray(arrays.surface[kept])
+    fraction = np.ascontiguousarray(arrays.fraction[kept])
+    layer = np.ascontiguousarray(arrays.layer[kept])
+    density = np.ascontiguousarray(arrays.density[kept])
+    surface = np.ascontiguousarray(arrays.surface[kept])
     known = surface < OUTSIDE
     if anatomy.sample is not None:
         surface = surface_of_fractions(fraction)
         layer, density, known = carried_beyond(fraction, surface, layer, density)
     boundary = layer_boundary(layer, known, _layer_at(anatomy, grid, depth[kept]))
-    names, placement = anatomy.layer_names, anatomy.placement
-    return VoxelVolume(grid.origin_m, spacing, fraction, layer, density, names, placement, surface, boundary)
+    return VoxelVolume(
+        grid.origin_m,
+        spacing,
+        fraction,
+        layer,
+        density,
+        anatomy.layer_names,
+        anatomy.placement,
+        surface,
+        boundary,
+    )
 
 
-def _layer_at(anatomy: Anatomy, grid: Grid, depth: NDArray[np.float32]) -> LayerAt:
+def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
     """The anatomy's layer at points in voxels of the grid, the depth interpolated where the anatomy samples it."""
-    first, spacing = np.array(grid.first, dtype=np.float32), np.float32(grid.spacing_m)
+    first = np.array(grid.first, dtype=np.float32)
+    spacing = np.float32(grid.spacing_m)
 
-    def layer_at(points: NDArray[np.float32]) -> NDArray[np.uint8]:
+    def layer_at(points: Singles) -> Bytes:
         """Layer, shape (n,), at points in voxels from the grid's first corner, shape (n, 3)."""
         at = np.asfortranarray((points + first) * spacing)
         if anatomy.sample is None:
@@ -121,11 +133,10 @@ def _layer_at(anatomy: Anatomy, grid: Grid, depth: NDArray[np.float32]) -> Layer
 def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
     """Grid over the region, or over the anatomy's bounding box and beyond, on whole multiples of the spacing."""
     around = AROUND_VOXELS * spacing
-    lower, upper = (
-        _corners(region_m)
-        if region_m is not None
-        else (np.array(anatomy.shape.lower_m) - around, np.array(anatomy.shape.upper_m) + around)
-    )
+    lower = np.array(anatomy.shape.lower_m) - around
+    upper = np.array(anatomy.shape.upper_m) + around
+    if region_m is not None:
+        lower, upper = _corners(region_m)
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
         raise InputError(
             "region_m must be given for an anatomy without end, got None: use the box that the tool reaches"
@@ -146,7 +157,7 @@ def _corners(region_m: Region) -> tuple[Array, Array]:
     return corners[0], corners[1]
 
 
-def _fill_from_samples(anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays) -> NDArray[np.float32]:
+def _fill_from_samples(anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays) -> Singles:
     """Fill `out` from an anatomy that gives fraction and depth for a whole grid; returns the depth [m]."""
     fraction, depth = sample(grid)
     out.fraction[...] = np.rint(fraction * FULL)
@@ -168,11 +179,12 @@ def _take_out(minus: Shape, grid: Grid, out: VoxelArrays) -> None:
     low = (np.clip(lower, 0, grid.shape) // BLOCK * BLOCK).astype(int)
     high = (-(-np.clip(upper, 0, grid.shape) // BLOCK) * BLOCK).astype(int)
     part = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    first = (low + np.array(grid.first)).tolist()
-    size = (high - low).tolist()
-    taken = shape_fraction(minus, Grid(grid.spacing_m, (first[0], first[1], first[2]), (size[0], size[1], size[2])))
+    size = high - low
+    numbers = lattice(*[np.arange(n) + f for n, f in zip(size, low + grid.first, strict=True)])
+    points = centres_of(numbers, grid.spacing_m, 0.5)
+    taken = voxel_fraction(minus, points, minus.distance(points), grid.spacing_m).reshape(size)
     out.fraction[part] = np.rint(out.fraction[part] * (1.0 - taken))
-    centres = np.stack(np.meshgrid(*[np.arange(n) + f + 0.5 for n, f in zip(size, first, strict=True)], indexing="ij"))
-    points = (centres.reshape(3, -1).T * grid.spacing_m).astype(np.float32)
+    # Rounded once, not at each step as above: these are the points that the traces of all scenes were recorded with.
+    points = np.asfortranarray((numbers + 0.5) * grid.spacing_m, dtype=np.float32)
     hole = surface_steps(-minus.distance(points).reshape(size) / np.float32(grid.spacing_m))
     out.surface[part] = np.maximum(out.surface[part], hole)

@@ -2,7 +2,7 @@
 
     python tests/bench/bench_import.py
 
-The CT is the synthetic one of `meshes.ct.phantom`, interpolated to that size, as NIfTI.
+The CT is the synthetic one of `examples/ct/synthetic_ct.py`, interpolated to that size, as NIfTI.
 """
 
 import resource
@@ -16,7 +16,8 @@ import nibabel
 import numpy as np
 from scipy.ndimage import zoom
 
-from meshes.ct.phantom import ct_phantom
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples/ct"))
+from synthetic_ct import ct_phantom
 
 SIZE = (512, 512, 300)
 

@@ -2,20 +2,23 @@
 
     python tests/bench/bench_import_formats.py
 
-The CT is that of `python -m meshes.ct`; forces are those of the imported scene in voxels of 0.25 mm, compared tick by tick
+The CT is that of `python examples/ct/synthetic_ct.py`; forces are those of the imported scene in voxels of 0.25 mm, compared tick by tick
 with those of the import from DICOM by its label.
 """
 
 import json
 import re
+import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
 import tissue
-from meshes.ct.__main__ import main as write_phantom
-from meshes.ct.phantom import HEAD_CENTRE_MM, HEAD_RADIUS_MM
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples/ct"))
+from synthetic_ct import HEAD_CENTRE_MM, HEAD_RADIUS_MM
+from synthetic_ct import main as write_phantom
 
 CROP_MM = ((0.0, -45.0, -52.0), (80.0, 30.0, 52.0))
 

@@ -10,7 +10,7 @@ from meshes.shapes.plane_cube import cube_fraction
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, cylinder, flat_reamer, hemispherical_reamer, pear_bur, twist_drill
-from tissue.materials.cutting import cutting_coefficients
+from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 

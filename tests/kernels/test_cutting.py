@@ -11,7 +11,7 @@ from meshes.voxels.layer_changes import FAR
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, twist_drill
-from tissue.materials.cutting import CuttingCoefficients
+from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from meshes.voxels.density_volume import density_volume
+from meshes.voxels.volume import density_volume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, cylinder
-from tissue.materials.cutting import CuttingCoefficients
+from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.engagement import EngagedBone
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion

@@ -9,14 +9,14 @@ from tooth_bodies import at_bottom, block
 
 import kernels.launcher as launcher
 from kernels.launcher import SplitLaunch
-from meshes.voxels.density_volume import density_volume
+from meshes.voxels.volume import density_volume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.fem.assembly import assemble
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.space import Space
 from tissue.fem.stress import cell_stress
-from tissue.materials.cutting import cutting_coefficients
+from tissue.materials.constants import cutting_coefficients
 from tissue.materials.elasticity import lame, stiffness_of_lame
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.bone.engagement import EngagedBone

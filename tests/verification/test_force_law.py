@@ -12,7 +12,7 @@ from meshes.shapes.sdf import half_space
 from meshes.voxels.voxelise import voxelise
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
-from tissue.materials.cutting import cutting_coefficients
+from tissue.materials.constants import cutting_coefficients
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from meshes.base.errors import require_range
 from meshes.base.file_limits import memory_limit
 from meshes.shapes.anatomy import cortical_block
-from meshes.voxels.density_volume import density_volume
-from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.api.bone_materials import BoneOptions, cut_as, require_known
 from tissue.api.bone_source import BoneSource, anatomy_source, image_source, surface_source
 from tissue.api.cut import Cut

@@ -11,7 +11,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
-from tissue.materials.cutting import CuttingCoefficients
+from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.bricks_on_demand import Boxes, BricksOnDemand
 from tissue.models.bone.model import BoneModel, Removal

@@ -64,8 +64,7 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
 
 def _filled(parameters: BoneAnatomy, surface: "Surface", site: "Site") -> Anatomy:
     """A bone whose inside is known: by the density of a CT, or by a surface around its core."""
-    from meshes.ct.cored_bone import cored_anatomy
-    from meshes.ct.imaged_bone import imaged_anatomy, stated_law
+    from meshes.ct.bone_inside import cored_anatomy, imaged_anatomy, stated_law
     from meshes.images.reading import read_image
     from meshes.surfaces.surface import read_surface
 

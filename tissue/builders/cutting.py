@@ -14,8 +14,8 @@ from tissue.builders.registry import motion_of
 from tissue.builders.start_pose import w_first_notice
 from tissue.builders.voxels import reach, require_outside, require_touch, structures, volume_of, whole_tooth
 from tissue.cutters.cutter import Cutter
-from tissue.materials.cutting import CUT_AS
-from tissue.materials.energy_note import energy_note
+from tissue.materials.constants import CUT_AS
+from tissue.materials.scene_constants import energy_note
 from tissue.models.tissue_model import TICK_S, TissueModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import MolarAnatomy

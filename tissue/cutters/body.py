@@ -7,18 +7,19 @@ from math import ceil, cos, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, lattice
 from tissue.cutters.cutter import spiral
 from tissue.cutters.profile import Arc, Line, Piece, Profile
 
 __all__ = ["OutlineTable", "body_points", "convex_parts", "outline_table"]
 
-ON_SURFACE, INSIDE = 3000, 1000
+ON_SURFACE = 3000
+INSIDE = 1000
 """About as many points on the surface and in the inside at most."""
 CONVEX = 1e-9
 
 
-def body_points(profile: Profile, *, spacing_m: float) -> NDArray[np.float64]:
+def body_points(profile: Profile, *, spacing_m: float) -> Array:
     """Points of a body of revolution [m], shape (n, 3), origin at the tip, for pictures and bounding boxes.
 
     They cover what cuts and what does not, up to the profile's top, every ring at which the outline bends, and the
@@ -31,19 +32,20 @@ def body_points(profile: Profile, *, spacing_m: float) -> NDArray[np.float64]:
     return np.concatenate([*parts, _inside(profile, spacing)])
 
 
-def _ring(radius: float, height: float, count: int) -> NDArray[np.float64]:
+def _ring(radius: float, height: float, count: int) -> Array:
     """Points evenly on a circle around the axis."""
     turn = np.arange(count) * (2.0 * pi / count)
     circle = radius * np.column_stack([np.cos(turn), np.sin(turn)])
     return np.column_stack([circle, np.full(count, height)])
 
 
-def _inside(profile: Profile, spacing: float) -> NDArray[np.float64]:
+def _inside(profile: Profile, spacing: float) -> Array:
     """Points of a cubic lattice inside a profile, deeper than half their distance."""
-    reach, (low, high) = profile.radius_m, profile.height_range_m
+    reach = profile.radius_m
+    (low, high) = profile.height_range_m
     pitch = max(2.0 * spacing, (pi * reach**2 * (high - low) / INSIDE) ** (1.0 / 3.0))
     across = pitch * np.arange(-ceil(reach / pitch), ceil(reach / pitch) + 1)
-    grid = np.stack(np.meshgrid(across, across, np.arange(low, high, pitch), indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = lattice(across, across, np.arange(low, high, pitch))
     half = np.column_stack([np.hypot(grid[:, 0], grid[:, 1]), grid[:, 2]])
     return np.asarray(grid[profile.distance(half)[0] < -0.5 * pitch])
 
@@ -113,7 +115,8 @@ def _is_convex(pieces: tuple[Piece, ...]) -> bool:
     ends = np.array([0.0, 1.0])
     normals = [piece.at(ends)[1] for piece in pieces]
     for before, after in pairwise(normals):
-        a, b = before[1], after[0]
+        a = before[1]
+        b = after[0]
         if a[0] * b[1] - a[1] * b[0] < -CONVEX:
             return False
     starts_down = normals[0][0][1] <= CONVEX

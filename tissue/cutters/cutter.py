@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernels.revolution import EDGE_BEND
+from meshes.base.arrays import Array, Singles, lattice
 from meshes.base.kept import Kept
 from tissue.cutters.profile import Piece, Profile
 
@@ -41,28 +42,29 @@ class PointShell:
         Distances from the axis [m], shape (n,).
     """
 
-    points_m: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    areas_m2: NDArray[np.float64]
-    radii_m: NDArray[np.float64]
+    points_m: Array
+    normals: Array
+    areas_m2: Array
+    radii_m: Array
 
 
 @dataclass(frozen=True)
 class DistanceTable:
     """Signed distance over (radius, height) [voxel]; see :class:`kernels.revolution.Revolution`."""
 
-    distance: NDArray[np.float32]
-    slope: NDArray[np.float32]
-    bend: NDArray[np.float32]
+    distance: Singles
+    slope: Singles
+    bend: Singles
     height_min: float
     cells_per_voxel: float
     radius: float
     low: float
     high: float
 
-    def bend_at(self, radius: NDArray[np.float64], height: NDArray[np.float64]) -> NDArray[np.float32]:
+    def bend_at(self, radius: Array, height: Array) -> Singles:
         """The bend at points given by radius and height above the tip [voxel], shape (n,)."""
-        u, v = radius * self.cells_per_voxel, (height - self.height_min) * self.cells_per_voxel
+        u = radius * self.cells_per_voxel
+        v = (height - self.height_min) * self.cells_per_voxel
         last = self.bend.shape[0] - 2, self.bend.shape[1] - 2
         return self.bend[np.clip(u.astype(int), 0, last[0]), np.clip(v.astype(int), 0, last[1])]
 
@@ -87,7 +89,8 @@ class Cutter:
     spin_rad_s: float
 
     def __repr__(self) -> str:
-        diameter_mm, rpm = 2e3 * self.profile.radius_m, -self.spin_rad_s * 60.0 / (2.0 * pi)
+        diameter_mm = 2e3 * self.profile.radius_m
+        rpm = -self.spin_rad_s * 60.0 / (2.0 * pi)
         return f"Cutter({diameter_mm:.4g} mm wide, {self.flute_count} flutes, {rpm:.6g} turns a minute)"
 
     @property
@@ -127,7 +130,9 @@ class Cutter:
         parts = [spiral(piece, spacing_m=spacing_m) for piece in self.profile.pieces if piece.cutting == cutting]
         points, normals, areas = (np.concatenate(column) for column in zip(*parts, strict=True))
         order = np.concatenate(_patches(points, np.arange(len(points))))
-        points, normals, areas = points[order], normals[order], areas[order]
+        points = points[order]
+        normals = normals[order]
+        areas = areas[order]
         return PointShell(points, normals, areas, np.hypot(points[:, 0], points[:, 1]))
 
     def table(self, *, spacing_m: float) -> DistanceTable:
@@ -142,7 +147,7 @@ class Cutter:
         height_min = low - MARGIN_VOXELS
         r = np.arange(ceil((reach + MARGIN_VOXELS) * cells) + 2) / cells
         z = np.arange(ceil((high - low + 2.0 * MARGIN_VOXELS) * cells) + 2) / cells + height_min
-        grid = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
+        grid = lattice(r, z)
         distance, meridional = self.profile.distance(grid * spacing_m)
         distance = (distance / spacing_m).reshape(len(r), len(z))
         slope = np.stack(np.gradient(distance, 1.0 / cells), axis=-1)
@@ -169,7 +174,7 @@ _shells: Kept[PointShell] = Kept(8)
 """By the profile and the spacing, of voxels or of elements."""
 
 
-def spiral(piece: Piece, *, spacing_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
     """Positions [m], normals and areas [m2] of elements of equal area over one piece."""
     count = max(ceil(piece.area_m2 / spacing_m**2), 16)
     share = np.linspace(0.0, 1.0, 4097)
@@ -188,7 +193,7 @@ def spiral(piece: Piece, *, spacing_m: float) -> tuple[NDArray[np.float64], NDAr
     return points, normals, areas
 
 
-def _patches(points: NDArray[np.float64], chosen: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+def _patches(points: Array, chosen: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     """Indices of points in patches of `PATCH`, the last smaller, by halving along the longest side."""
     if len(chosen) <= PATCH:
         return [chosen]

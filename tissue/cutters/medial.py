@@ -18,7 +18,8 @@ MEDIAL_TOLERANCE_M = 4e-6
 STRAIGHT_M = 1e-6
 """Largest deviation of the polylines in the space of radius, height and ball radius [m]; a fourth of the tolerance.
 A ball reaches out by at most twice the deviation, and two steps, sampling and merging, each deviate."""
-FIRST_SAMPLES, HALVINGS = 9, 26
+FIRST_SAMPLES = 9
+HALVINGS = 26
 """Samples of each piece at first, and how often the intervals between them are halved at most."""
 BISECTIONS = 44
 TOUCH_M = 1e-10
@@ -72,7 +73,8 @@ def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
     ends = np.array([0.0, 1.0])
     for before, after in pairwise(pieces):
         corner = after.at(ends)[0][0]
-        first, last = before.at(ends)[1][1], after.at(ends)[1][0]
+        first = before.at(ends)[1][1]
+        last = after.at(ends)[1][0]
         turn = float(np.arctan2(first[0] * last[1] - first[1] * last[0], first @ last))
         if turn < 0.0:
             touches.append(_fan(corner, float(np.arctan2(first[1], first[0])), turn))
@@ -102,7 +104,8 @@ def _chain(profile: Profile, touch: Touch) -> Array:
         between = _balls(profile, *touch(middle))
         bent = _deviation(between, balls[where], balls[where + 1]) > STRAIGHT_M
         is_open[where] = bent
-        share, balls = np.insert(share, where + 1, middle), np.insert(balls, where + 1, between, axis=0)
+        share = np.insert(share, where + 1, middle)
+        balls = np.insert(balls, where + 1, between, axis=0)
         is_open = np.insert(is_open, where + 1, bent)
     return balls[_merged(balls)]
 
@@ -110,7 +113,8 @@ def _chain(profile: Profile, touch: Touch) -> Array:
 def _balls(profile: Profile, points: Array, normals: Array) -> Array:
     """Largest balls that touch the outline from inside: radius and height of the centre, ball radius, shape (n, 3)."""
     low, high = profile.height_range_m
-    least, most = np.zeros(len(points)), np.full(len(points), 0.5 * (high - low) + profile.radius_m)
+    least = np.zeros(len(points))
+    most = np.full(len(points), 0.5 * (high - low) + profile.radius_m)
     for _ in range(BISECTIONS):
         size = 0.5 * (least + most)
         centres = points - size[:, None] * normals
@@ -118,7 +122,8 @@ def _balls(profile: Profile, points: Array, normals: Array) -> Array:
         # is nearer to the other side of the outline.
         nearest = np.min([piece.seen_from(centres)[0] for piece in profile.pieces], axis=0)
         fits = (centres[:, 0] >= -TOUCH_M) & (nearest >= size - TOUCH_M)
-        least, most = np.where(fits, size, least), np.where(fits, most, size)
+        least = np.where(fits, size, least)
+        most = np.where(fits, most, size)
     centres = points - least[:, None] * normals
     centres[:, 0] = np.maximum(centres[:, 0], 0.0)
     return np.column_stack([centres, least])

@@ -10,7 +10,8 @@ from itertools import pairwise
 from math import cos, hypot, pi, sin, tan
 
 import numpy as np
-from numpy.typing import NDArray
+
+from meshes.base.arrays import Array, Flags
 
 __all__ = [
     "Arc",
@@ -25,7 +26,6 @@ __all__ = [
     "twist_drill",
 ]
 
-Array = NDArray[np.float64]
 SMOOTH = 0.999
 """Cosine of the angle between normals above which an outline counts as smooth."""
 AXIS_M = 1e-9
@@ -52,13 +52,15 @@ class Line:
 
     def at(self, share: Array) -> tuple[Array, Array]:
         """Points, shape (n, 2) [m], and outward normals, shape (n, 2), at shares of the length in [0, 1]."""
-        a, b = np.asarray(self.start), np.asarray(self.end)
+        a = np.asarray(self.start)
+        b = np.asarray(self.end)
         direction = (b - a) / self.length_m
         return a + share[:, None] * (b - a), np.broadcast_to([direction[1], -direction[0]], (len(share), 2))
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
         """Distance [m] and meridional curvature [1/m] of the parallel curve at ``points``, shape (n, 2)."""
-        a, b = np.asarray(self.start), np.asarray(self.end)
+        a = np.asarray(self.start)
+        b = np.asarray(self.end)
         share = np.clip((points - a) @ (b - a) / self.length_m**2, 0.0, 1.0)
         distance = np.linalg.norm(points - a - share[:, None] * (b - a), axis=1)
         ends = (share == 0.0) | (share == 1.0)
@@ -169,7 +171,7 @@ class Profile:
         return np.where(inside, -distances[pick], distances[pick]), curvature
 
 
-def _inside(outline: Array, points: Array) -> NDArray[np.bool_]:
+def _inside(outline: Array, points: Array) -> Flags:
     """Whether (radius, height) points lie inside a closed outline: crossing number along +radius."""
     inside = np.zeros(len(points), dtype=bool)
     for (r0, z0), (r1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
@@ -214,7 +216,8 @@ def _peg(radius: float, length: float, top: float) -> list[Piece]:
 
 def hemispherical_reamer(*, diameter_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0) -> Profile:
     """Hemisphere that cuts with its face, with a central guide peg where its diameter is not 0."""
-    r, q = 0.5 * diameter_m, 0.5 * peg_diameter_m
+    r = 0.5 * diameter_m
+    q = 0.5 * peg_diameter_m
     first = -0.5 * pi if q == 0.0 else -float(np.arccos(q / r))
     pieces: Sequence[Piece] = [] if q == 0.0 else _peg(q, peg_length_m, r + r * sin(first))
     face = Arc((0.0, r), r, first, 0.0)
@@ -225,7 +228,8 @@ def flat_reamer(
     *, diameter_m: float, length_m: float, peg_diameter_m: float = 0.0, peg_length_m: float = 0.0
 ) -> Profile:
     """Disc ``length_m`` thick that cuts with face and rim, with a central guide peg where its diameter is not 0."""
-    r, q = 0.5 * diameter_m, 0.5 * peg_diameter_m
+    r = 0.5 * diameter_m
+    q = 0.5 * peg_diameter_m
     pieces: Sequence[Piece] = [] if q == 0.0 else _peg(q, peg_length_m, 0.0)
     face = Line((q, 0.0), (r, 0.0))
     rim = Line((r, 0.0), (r, length_m))

@@ -9,8 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from meshes.voxels.density_volume import density_volume
-from meshes.voxels.volume import VoxelVolume
+from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.cutters import ball_burr
 from tissue.environments.environment import ContactEnvironment, Entry
 from tissue.environments.restorable_bone import PATCH_POINTS, RestorableBone

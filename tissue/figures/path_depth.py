@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.paths.depth import PathDepth
+from meshes.paths.toolpath import PathDepth
 from meshes.surfaces.surface import Surface
 from tissue.figures.figure import DRAWING, is_vector, save
 from tissue.figures.marks import draw_axes, draw_scale
@@ -30,7 +30,7 @@ def draw_path_depth(
     surface
         The bone in the frame of its image.
     found
-        Points of the path and their depth, see `meshes.paths.depth.depth_along`.
+        Points of the path and their depth, see `meshes.paths.toolpath.depth_along`.
     path
         File to write.
     normal

@@ -12,8 +12,7 @@ from tissue.fitting.cutting_parameters import FACTOR, FreeConstant, LayerConstan
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.parameter import Parameter
 from tissue.fitting.shift import shift_operators
-from tissue.materials.constants import CuttingCoefficients
-from tissue.materials.cutting import CUT_AS
+from tissue.materials.constants import CUT_AS, CuttingCoefficients
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
 from tissue.scene.scene import Scene

@@ -1,104 +1,102 @@
-"""Pictures of an import."""
+"""Pictures of an imported bone."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.ct.labelled_bone import cropped
-from meshes.ct.labels import Labels
+from meshes.base.arrays import Array, lattice
+from meshes.ct.density import DensityLaw
+from meshes.ct.extraction import BoneOfImage
+from meshes.ct.inspection import Histogram
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.figures.ct_bone import draw_ct_bone
 from tissue.figures.ct_histogram import draw_ct_histogram
 from tissue.figures.ct_slices import draw_ct_slices
-from tissue.importing.bone import ImportedBone
-from tissue.importing.placing import Placed
+from tissue.figures.path_depth import draw_path_depth
+from tissue.importing.placing import ImportedPath, Placed
 
-__all__ = ["PICTURES", "draw_pictures", "draw_tooth"]
-
-PICTURES = ("slices.png", "histogram.png", "bone.png")
+__all__ = ["BonePictures"]
 
 
-def draw_pictures(
-    bone: ImportedBone,
-    at: Placed | None,
-    clear: Mapping[str, Surface],
-    out: Path,
-    *,
-    points_mm: NDArray[np.float64] | None = None,
-) -> list[str]:
-    """Draw slices, histogram and the bone in 3D; returns why one could not be drawn, a sentence each."""
-    found = bone.bone
-    title = bone.inspection.source
-    middle = 0.5e3 * (bone.surface.vertices_m.min(axis=0) + bone.surface.vertices_m.max(axis=0))
-    centre = None if at is None else 1e3 * at.site.centre_m
-    normal = None if at is None else at.site.rotation[:, 2]
-    draw_ct_slices(
-        bone.around,
-        out / "slices.png",
-        body=("bone", replace(found.image, values=found.field - np.float32(found.level))),
-        others={f"{name}, to keep clear of": _inside(surface, found.image) for name, surface in clear.items()},
-        centre_mm=middle if centre is None else centre,
-        normal=normal,
-        points_mm=points_mm,
-        title=title,
-    )
-    inside = found.image.values[found.field > found.level]
-    law = bone.law
-    draw_ct_histogram(
-        bone.histogram.values,
-        bone.histogram.counts,
-        inside,
-        out / "histogram.png",
-        threshold=bone.threshold,
-        density=None if law is None else (law.slope_kg_m3, law.offset_kg_m3),
-        title=title,
-    )
-    problem = draw_ct_bone(
-        bone.surface,
-        out / "bone.png",
-        density=bone.density,
-        centre_mm=centre,
-        normal=normal,
-        points_mm=points_mm,
-        title=title,
-    )
-    return [] if problem is None else [f"bone.png was not drawn: {problem}"]
+@dataclass(frozen=True, eq=False)
+class BonePictures:
+    """Pictures of a bone with its structures to keep clear of, its site and its path."""
+
+    title: str
+    bone: BoneOfImage
+    surface: Surface
+    clear: Mapping[str, Surface]
+    at: Placed | None
+    path: ImportedPath | None
+
+    @property
+    def _centre_mm(self) -> Array | None:
+        return None if self.at is None else 1e3 * self.at.site.centre_m
+
+    @property
+    def _normal(self) -> Array | None:
+        return None if self.at is None else self.at.site.rotation[:, 2]
+
+    @property
+    def _points_mm(self) -> Array | None:
+        return None if self.path is None else self.path.depth.points_mm
+
+    def draw_slices(self, around: Image, file: Path) -> None:
+        """Draw slices of the image around the bone through the site or the bone's middle."""
+        middle = 0.5e3 * (self.surface.vertices_m.min(axis=0) + self.surface.vertices_m.max(axis=0))
+        part = self.bone.image
+        draw_ct_slices(
+            around,
+            file,
+            body=("bone", replace(part, values=self.bone.field - np.float32(self.bone.level))),
+            others={f"{name}, to keep clear of": _depth(surface, part) for name, surface in self.clear.items()},
+            centre_mm=middle if self._centre_mm is None else self._centre_mm,
+            normal=self._normal,
+            points_mm=self._points_mm,
+            title=self.title,
+        )
+
+    def draw_histogram(self, histogram: Histogram, threshold: float | None, law: DensityLaw | None, file: Path) -> None:
+        """Draw the grey values of the image and of the bone."""
+        draw_ct_histogram(
+            histogram.values,
+            histogram.counts,
+            self.bone.image.values[self.bone.field > self.bone.level],
+            file,
+            threshold=threshold,
+            density=None if law is None else (law.slope_kg_m3, law.offset_kg_m3),
+            title=self.title,
+        )
+
+    def draw_bone(self, density: Image | None, file: Path) -> str | None:
+        """Draw the bone in 3D; return why it could not be drawn."""
+        return draw_ct_bone(
+            self.surface,
+            file,
+            density=density,
+            centre_mm=self._centre_mm,
+            normal=self._normal,
+            points_mm=self._points_mm,
+            title=self.title,
+        )
+
+    def draw_path(self, file: Path) -> str | None:
+        """Draw the path on the bone in the colours of its depth; return why it could not be drawn."""
+        assert self.path is not None and self._normal is not None
+        title = self.surface.report.source
+        return draw_path_depth(self.surface, self.path.depth, file, normal=self._normal, title=title)
 
 
-def draw_tooth(image: Image, tooth: Labels, file: Path, *, centre_mm: NDArray[np.float64]) -> None:
-    """Draw slices of an image with the layers of a tooth, through a point [mm, LPS].
-
-    Parameters
-    ----------
-    image
-        The tooth's CT; without one the image of the labels themselves.
-    """
-    origin, spacing = np.array(tooth.image.origin_mm), np.array(tooth.image.spacing_mm)
-    low, high = origin, origin + spacing * (np.array(tooth.image.values.shape) - 1)
-    masks = sorted(((name, tooth.mask(name)) for name in tooth.names.values()), key=lambda each: -each[1].sum())
-    outer, *inner = ((name, replace(tooth.image, values=mask - np.float32(0.5))) for name, mask in masks)
-    draw_ct_slices(
-        cropped(image, ((low[0], low[1], low[2]), (high[0], high[1], high[2]))),
-        file,
-        body=outer,
-        others=dict(inner),
-        centre_mm=centre_mm,
-        normal=None,
-        points_mm=None,
-        title=image.source,
-    )
-
-
-def _inside(surface: Surface, image: Image) -> Image:
-    """How deep voxels of an image lie within a surface [m], negative outside."""
+def _depth(surface: Surface, image: Image) -> Image:
+    """Return the depth of an image's voxels within a surface [m], negative outside."""
     axes = [o + s * np.arange(n) for o, s, n in zip(image.origin_mm, image.spacing_mm, image.values.shape, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    low, high = 1e3 * surface.vertices_m.min(axis=0), 1e3 * surface.vertices_m.max(axis=0)
+    grid = lattice(*axes)
+    low = 1e3 * surface.vertices_m.min(axis=0)
+    high = 1e3 * surface.vertices_m.max(axis=0)
     around = 2.0 * max(image.spacing_mm)
     near = ((grid > low - around) & (grid < high + around)).all(axis=1)
     depth = np.full(len(grid), -1.0, dtype=np.float32)

@@ -1,17 +1,27 @@
-"""Where to work on an imported bone: as given, from markups, or searched for, and what of it is a joint."""
+"""Where to work on an imported bone: its site, the structures to keep clear of, and the toolpath at the site."""
 
 import re
-from collections.abc import Iterator
+import unicodedata
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from meshes.base.errors import InputError
+import numpy as np
+
+from meshes.base.errors import InputError, names_of_caller
+from meshes.base.progress import Progress
+from meshes.ct.extraction import kept_label
+from meshes.ct.labels import Labels
+from meshes.paths.replay_table import ReplayTable, to_replay
+from meshes.paths.toolpath import PathDepth, depth_along, read_toolpath
+from meshes.surfaces.markups import read_site
 from meshes.surfaces.site import Site, place_site
-from meshes.surfaces.surface import Surface
+from meshes.surfaces.site_search import find_site
+from meshes.surfaces.surface import Surface, surface_from_triangles
 from tissue.importing.request import ImportRequest
 
-__all__ = ["Placed", "placed"]
+__all__ = ["ImportedPath", "Placed", "import_path", "kept_clear", "placed", "plain_names"]
 
 USUAL = (
     (r"scapula", "glenoid"),
@@ -19,7 +29,7 @@ USUAL = (
     (r"humerus", "humeral-head"),
     (r"vertebra", "vertebra"),
 )
-"""Site that is searched for on a bone where none is asked for, by a word in the name of its label."""
+"""Site that is searched for by default, by a word in the name of the bone's label."""
 JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
 """Distance from the site across its normal within which the surface is a joint's [mm]: half of the glenoid's height of
 37 mm, and a cap of the heads, whose radii are 21 to 27 (`meshes.surfaces.glenoid`, `meshes.surfaces.site_search`)."""
@@ -29,7 +39,13 @@ KEYS = {
     "anatomy.scale_mm": "spacing in the header",
     "file must": "source must",
 }
-"""What an import calls the keys of a scene."""
+"""Options of an import by the keys of a scene."""
+FEED_MM_S = 2.0
+"""Feed of a path that states none: between reaming (0.5) and milling (5) of the built-in scenes."""
+CLEARANCE_MM = 5.0
+"""Distance outside the first point of a path at which the tool begins."""
+LONGEST = 60
+"""Letters of a structure's name, which is part of a file's name."""
 
 
 @dataclass(frozen=True)
@@ -44,35 +60,31 @@ class Placed:
         Name of what was searched for; None for a point.
     articular_radius_mm
         Distance from the site within which the surface is a joint's; 0 for none.
-    sentence
-        How it was found.
     """
 
     site: Site
-    kind: str | None
-    articular_radius_mm: float
-    sentence: str
+    kind: str | None = None
+    articular_radius_mm: float = 0.0
 
 
 def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str]:
-    """The site of a request, and a sentence on it; none where nothing was asked for and nothing usual is found.
+    """Return the site of a request and a sentence on it; None where none was asked for and the usual one is not found.
 
     Raises
     ------
     InputError
-        If the site that was asked for cannot be had.
+        If the site that was asked for cannot be used or is not found.
     """
+    point = request.point_mm
+    normal = request.normal_lps
     with _own_words():
-        if request.point_mm is not None:
-            site = place_site(surface, centre_mm=request.point_mm, normal=request.normal_lps)
-            return _pointed(site)
         if isinstance(request.site, str) and request.is_markups:
-            from meshes.surfaces.markups import read_site
-
-            found = read_site(Path(request.site))
-            normal = None if found.normal is None else found.normal.tolist()
-            site = place_site(surface, centre_mm=found.centre_mm.tolist(), normal=normal)
-            return _pointed(site)
+            marked = read_site(Path(request.site))
+            point = _three(marked.centre_mm)
+            normal = None if marked.normal is None else _three(marked.normal)
+        if point is not None:
+            site = place_site(surface, centre_mm=point, normal=normal)
+            return Placed(site), f"site: {site.confidence}"
     if isinstance(request.site, str):
         return _searched(request.site, surface)
     usual = next((kind for word, kind in USUAL if re.search(word, request.region or "")), None)
@@ -85,9 +97,24 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
         return None, f"site: no {usual} was found ({error}); {pick}"
 
 
+def _three(numbers: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
+    x, y, z = map(float, numbers)
+    return x, y, z
+
+
+def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
+    """Search for a site, and report its score and that of the second best."""
+    with _own_words():
+        found = find_site(kind, surface)
+    second = found.second_centre_mm is not None
+    other = f"the next best place scores {found.second_score:.2f}" if second else "no other place came near"
+    site = Placed(found.site, kind, JOINTS_MM.get(kind, 0.0))
+    return site, f"site: {kind} {found.site.confidence}; {other}"
+
+
 @contextmanager
 def _own_words() -> Iterator[None]:
-    """Let refusals name options of an import, where those of a scene name its keys."""
+    """Name options of an import in errors that name keys of a scene."""
     try:
         yield
     except InputError as error:
@@ -97,18 +124,85 @@ def _own_words() -> Iterator[None]:
         raise InputError(message) from error
 
 
-def _pointed(site: Site) -> tuple[Placed, str]:
-    sentence = f"site: {site.confidence}"
-    return Placed(site, None, 0.0, sentence), sentence
+def kept_clear(request: ImportRequest, labels: Labels | None, report: Progress) -> tuple[dict[str, Surface], list[str]]:
+    """Return the surfaces of the labels that the tool must not touch, by plain name, and sentences on them.
+
+    Raises
+    ------
+    InputError
+        If there is no such label, it is named twice, or nothing of it is in the image.
+    """
+    if labels is None or not request.keep_clear:
+        return {}, []
+    with names_of_caller({"label": "keep_clear"}):
+        wanted = [labels.names[labels.number(name)] for name in request.keep_clear]
+    if len(set(wanted)) < len(wanted):
+        raise InputError(f"keep_clear must name each label once, got {', '.join(request.keep_clear)}: leave one out")
+    found = {}
+    sentences = []
+    for name, plain in zip(wanted, plain_names(wanted), strict=True):
+        report(f"finding {name}", 0.0)
+        triangles, notes = kept_label(labels.image, labels.mask(name), name)
+        with names_of_caller({"anatomy.scale_mm": f"keep_clear {name}"}):
+            found[plain] = surface_from_triangles(*triangles, source=name, scale_mm=1.0, cut_off=True, every_piece=True)
+        called = "" if plain == name else f", called {plain} in the scene"
+        sentences += [f"keep clear: {name}{called}", *notes]
+    return found, sentences
 
 
-def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
-    """The site of a kind with its score and that of the second best."""
-    from meshes.surfaces.site_search import find_site
+def plain_names(names: Sequence[str]) -> list[str]:
+    """Convert names of labels to those that a scene takes: plain letters, digits and underscores, each name once."""
+    taken: list[str] = []
+    for name in names:
+        letters = unicodedata.normalize("NFKD", name.casefold()).encode("ascii", "ignore").decode().lower()
+        first = re.sub("[^a-z0-9]+", "_", letters).strip("_")[:LONGEST] or "structure"
+        plain = first
+        number = 1
+        while plain in taken:
+            number += 1
+            plain = f"{first}_{number}"
+        taken.append(plain)
+    return taken
 
-    with _own_words():
-        found = find_site(kind, surface)
-    second = found.second_centre_mm is not None
-    other = f"the next best place scores {found.second_score:.2f}" if second else "no other place came near"
-    sentence = f"site: {kind} {found.site.confidence}; {other}"
-    return Placed(found.site, kind, JOINTS_MM.get(kind, 0.0), sentence), sentence
+
+@dataclass(frozen=True, eq=False)
+class ImportedPath:
+    """A path on a bone: its poses in the frame of the site, its depth under the surface, and a sentence on it."""
+
+    table: ReplayTable
+    depth: PathDepth
+    sentence: str
+
+
+def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> ImportedPath | None:
+    """Read the path of a request and bring it to its site; None where there is no path.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, never enters the bone, or there is no site.
+    """
+    if request.path is None:
+        return None
+    name = request.path.name
+    if at is None:
+        raise InputError(f"site must be given with a path, got none for {name}: give a point near its start by --site")
+    path = read_toolpath(request.path, request.coordinates)
+    if path.feeds_mm_s is not None and request.feed_mm_s is not None:
+        raise InputError(
+            f"feed_mm_s must be left out for a path that states its own, got {request.feed_mm_s:g} for {name}: leave "
+            "it out"
+        )
+    depth = depth_along(path, surface)
+    if depth.deepest_mm <= 0.0:
+        raise InputError(
+            f"path must enter the bone, got {name}, which stays {-depth.deepest_mm:.3g} mm outside: check its frame by "
+            "--coordinates LPS or RAS"
+        )
+    table = to_replay(path, at.site, feed_mm_s=request.feed_mm_s or FEED_MM_S, clearance_mm=CLEARANCE_MM)
+    length = float(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1).sum())
+    sentence = (
+        f"path: {len(path.points_mm)} points of {name}, {length:.4g} mm in {table.times_s[-1]:.3g} s, its tip at most "
+        f"{depth.deepest_mm:.3g} mm under the surface and {depth.share_inside:.0%} of it in the bone"
+    )
+    return ImportedPath(table, depth, sentence)

@@ -10,12 +10,14 @@ from typing import ClassVar, TypedDict
 from meshes.base.errors import InputError
 
 __all__ = [
-    "Constant", "CuttingCoefficients", "Entry", "add_material", "changed_coefficients", "constants",
+    "CUT_AS", "Constant", "CuttingCoefficients", "Entry", "add_material", "changed_coefficients", "constants",
     "cutting_coefficients", "listed", "remove_material",
 ]  # fmt: skip
 
 N_MM2 = 1e6  # [Pa]
 N_MM = 1e3  # [N/m]
+CUT_AS = {"enamel": "enamel", "dentin": "dentin", "caries": "dentin", "pulp": "soft", "ligament": "soft"}
+"""Material whose cutting coefficients a layer of a tooth has; all others have those of bone."""
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,8 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     InputError
         If a modulus is not positive, or the ratios do not leave the matrix positive definite.
     """
-    young, shear = _positive("young_Pa", young_Pa, 3), _positive("shear_Pa", shear_Pa, 3)
+    young = _positive("young_Pa", young_Pa, 3)
+    shear = _positive("shear_Pa", shear_Pa, 3)
     ratio = np.asarray(poisson_ratio, dtype=np.float64)
     if ratio.shape != (3,) or not np.isfinite(ratio).all():
         raise InputError(f"poisson_ratio must hold nu12, nu13, nu23, got {ratio}: give three finite numbers")
@@ -162,7 +163,8 @@ def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
     Stable means 1 - nu_across > 2 nu^2 / r, which is r > (1 - 2 nu) / 3, and nu_across > -1, which bounds r from below
     where nu > 1/4 and from above where nu < -1/6.
     """
-    low, high = (1.0 - 2.0 * poisson_ratio) / 3.0, np.inf
+    low = (1.0 - 2.0 * poisson_ratio) / 3.0
+    high = np.inf
     slope = 1.0 + 6.0 * poisson_ratio
     if poisson_ratio > 0.25:
         low = max(low, (4.0 * poisson_ratio - 1.0) / slope)
@@ -219,7 +221,8 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
     InputError
         If a direction has no length, axes are not a rotation, or one fibre does not fix the material's axes.
     """
-    matrix, frame = np.asarray(stiffness_Pa, dtype=np.float64), np.asarray(axes, dtype=np.float64)
+    matrix = np.asarray(stiffness_Pa, dtype=np.float64)
+    frame = np.asarray(axes, dtype=np.float64)
     if frame.ndim == 2 and frame.shape[1] == 3:
         quarter = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
         turned = _turned(matrix.reshape(-1, 6, 6), quarter[None])
@@ -284,8 +287,10 @@ def _frames(fibre: Array) -> Array:
 
 def _turned(matrix: Array, rotation: Array) -> Array:
     """D' = M D M^T with M the rotation of stresses in Voigt order; symmetrised, since products round."""
-    i, j = VOIGT[:, 0][:, None], VOIGT[:, 1][:, None]
-    k, n = VOIGT[:, 0][None], VOIGT[:, 1][None]
+    i = VOIGT[:, 0][:, None]
+    j = VOIGT[:, 1][:, None]
+    k = VOIGT[:, 0][None]
+    n = VOIGT[:, 1][None]
     bond = rotation[:, i, k] * rotation[:, j, n]
     bond[:, :, 3:] += (rotation[:, i, n] * rotation[:, j, k])[:, :, 3:]
     turned = bond @ matrix @ bond.transpose(0, 2, 1)

@@ -101,7 +101,8 @@ class Hyperelastic:
             for j in range(3):
                 local[..., i, i, j, j] = second[..., i, j]
         for i, j in ((0, 1), (0, 2), (1, 2)):
-            a, b = stretch[..., i], stretch[..., j]
+            a = stretch[..., i]
+            b = stretch[..., j]
             equal = np.abs(a - b) < EQUAL * (a + b)
             limit = 0.5 * (second[..., i, i] + second[..., j, j]) - second[..., i, j]
             stretching = np.where(equal, limit, (first[..., i] - first[..., j]) / np.where(equal, 1.0, a - b))
@@ -121,7 +122,9 @@ class Hyperelastic:
         for mu, alpha in self.terms:
             value, first, second = _power_sum(isochoric, alpha)
             scale = 2.0 * mu / alpha**2
-            energy, slope, curvature = energy + scale * value, slope + scale * first, curvature + scale * second
+            energy = energy + scale * value
+            slope = slope + scale * first
+            curvature = curvature + scale * second
         value, first, second = _power_sum(isochoric, 2.0)
         for k, c in enumerate(self.powers_Pa, start=2):
             rate = (c * k * value ** (k - 1))[..., None]

@@ -87,8 +87,8 @@ class Prior:
     def mirrored(self) -> "Prior":
         """Return the two-sided prior whose other half is that of a one-sided prior, reflected at its value."""
         low, value, high = self._knots
-        low, high = min(low, 2.0 * value - high), max(high, 2.0 * value - low)
-        ends = self._from_y(np.array([low, high])).tolist()
+        outer = [min(low, 2.0 * value - high), max(high, 2.0 * value - low)]
+        ends = self._from_y(np.array(outer)).tolist()
         return Prior(self.value, min(ends[0], self.low), max(ends[1], self.high), self.bounds)
 
     def x(self, z: ArrayLike) -> Array:

@@ -1,30 +1,30 @@
-"""The constants of a scene: the cited ones, with those of a person's file in their place."""
+"""Constants of a scene: the cited ones, with those of a file in their place."""
 
 import difflib
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from math import isfinite
 from os import PathLike
 from pathlib import Path
-from typing import ClassVar, TypeGuard
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 import numpy as np
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import read_toml
-from tissue.materials.constants import Constant, CuttingCoefficients, changed_coefficients, constants, listed
-from tissue.materials.cutting import CUT_AS
+from tissue.materials.constants import CUT_AS, Constant, CuttingCoefficients, changed_coefficients, constants, listed
 
-__all__ = ["Materials", "checked_constant"]
+__all__ = ["Materials", "checked_constant", "energy_note"]
 
 TABLES = ("cutting", "tooth", "soft", "needle", "devices", "hands")
 """Tables whose constants a file may replace."""
+ENERGY = "tangential_chip_N_mm2"
 HARD_LIMITS = {"poisson_ratio": 0.5, "heat_share": 1.0}
-"""Greatest value of a constant, by its name; a ratio of one half cannot be solved."""
+"""Largest value of a constant, by its name; a ratio of one half cannot be solved."""
 
 
 @dataclass(frozen=True)
@@ -156,8 +156,9 @@ def _parsed(text: str, path: str) -> Materials:
     try:
         tables = read_toml(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"materials must be valid TOML, got {str(error)[:200].lower()} in {path}: mend it") from None
-    correlation, given = tables.pop("correlation", None), dict[str, Constant]()
+        raise InputError(f"materials must be valid TOML, got {str(error)[:200].lower()} in {path}: fix it") from None
+    correlation = tables.pop("correlation", None)
+    given: dict[str, Constant] = {}
     for table, materials in tables.items():
         _require_known("a table", table, TABLES, path)
         for material, entries in _table(materials, table, path).items():
@@ -170,7 +171,9 @@ def _parsed(text: str, path: str) -> Materials:
                 given[full] = checked_constant(full, entry, path)
     if not given:
         raise InputError(f"materials must hold a constant such as [cutting.bone.radial_chip_N_mm2], got none in {path}")
-    names, matrix = _correlation(correlation, given, path) if correlation is not None else ((), ())
+    if correlation is None:
+        return Materials(given, file=path)
+    names, matrix = _correlation(correlation, given, path)
     return Materials(given, names, matrix, path)
 
 
@@ -193,64 +196,105 @@ def _require_known(what: str, name: str, known: Iterable[str], path: str) -> Non
         )
 
 
-def checked_constant(full: str, entry: object, path: str) -> Constant:
-    """Return an entry of a file of materials as a constant, and raise an error where it is not one."""
-    entries = _table(entry, full, path)
-    wanted = {"value", "range", "source", "confidence"}
-    if wrong := sorted(wanted ^ entries.keys()):
-        raise InputError(f"{full} must hold value, range, source and confidence and nothing else, got a difference in "
-                         f"{', '.join(wrong)} in {path}: write all four")  # fmt: skip
-    value, ends = entries["value"], entries["range"]
-    given: list[object] = [value, *ends] if isinstance(ends, list) else [value]
-    numbers = [float(each) for each in given if _is_number(each)]
-    if len(given) != 3 or len(numbers) != 3:
+class _Entry(BaseModel, strict=True, extra="forbid"):
+    """One constant of a file."""
+
+    value: FiniteFloat
+    range: Annotated[list[Annotated[FiniteFloat, Field(ge=0.0)]], Field(min_length=2, max_length=2)]
+    source: Annotated[str, Field(pattern=r"\S")]
+    confidence: Literal["H", "M", "L"]
+
+
+class _Correlation(BaseModel, strict=True, extra="forbid"):
+    """Correlation of constants of a file."""
+
+    names: list[str]
+    matrix: list[list[FiniteFloat]]
+
+
+Checked = TypeVar("Checked", bound=BaseModel)
+
+
+def _checked(model: type[Checked], found: object, name: str, path: str) -> Checked:
+    """Validate a table of a file."""
+    try:
+        return model.model_validate(found)
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        place = ".".join(map(str, (name, *first["loc"])))
+        shown = str(first["input"])[:100]
         raise InputError(
-            f"{full} must hold a value and a range of two finite numbers, got {value} and {ends} in {path}: mend them"
-        )
-    middle, low, high = numbers
+            f"{place} must be valid in {path}, got {shown}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+        ) from None
+
+
+def checked_constant(full: str, found: object, path: str) -> Constant:
+    """Return one constant of a file, checked."""
+    entry = _checked(_Entry, found, full, path)
+    low, high = entry.range
     most = HARD_LIMITS.get(full.rpartition(".")[2], np.inf)
-    if not (low <= middle <= high and low >= 0.0 and high <= most):
+    if not low <= entry.value <= high <= most:
         bound = "" if most == np.inf else f" and range within [0, {most:g}]"
         raise InputError(
-            f"{full} must have its value inside its range{bound or ', none below zero'}, got {middle:g} in "
-            f"[{low:g}, {high:g}] in {path}: mend them"
+            f"{full} must have its value inside its range{bound}, got {entry.value:g} in [{low:g}, {high:g}] in "
+            f"{path}: fix them"
         )
-    source, confidence = entries["source"], entries["confidence"]
-    if not isinstance(source, str) or not source.strip():
-        raise InputError(f"{full} must state its source, got {source!r} in {path}: state where the number comes from")
-    if confidence not in ("H", "M", "L"):
-        raise InputError(f"{full} must have confidence H, M or L, got {confidence!r} in {path}: choose one")
-    return Constant(middle, low, high, source, str(confidence))
-
-
-def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+    return Constant(entry.value, low, high, entry.source, entry.confidence)
 
 
 def _correlation(
     found: object, given: Mapping[str, Constant], path: str
 ) -> tuple[tuple[str, ...], tuple[tuple[float, ...], ...]]:
-    """Names and matrix of the file's correlation, checked."""
-    table = _table(found, "correlation", path)
-    names, rows = table.get("names"), table.get("matrix")
-    if table.keys() != {"names", "matrix"} or not isinstance(names, list) or not isinstance(rows, list):
-        raise InputError(f"correlation must hold names and matrix, got {', '.join(table)} in {path}: write both lists")
+    """Read names and matrix of the correlation of a file."""
+    table = _checked(_Correlation, found, "correlation", path)
+    names = table.names
     for name in names:
-        _require_known("constants of the file in correlation", str(name), given, path)
-    good = all(isinstance(row, list) and len(row) == len(names) and all(map(_is_number, row)) for row in rows)
-    if not good or len(rows) != len(names) or len(set(names)) != len(names):
+        _require_known("constants of the file in correlation", name, given, path)
+    if [len(row) for row in table.matrix] != [len(names)] * len(names) or len(set(names)) != len(names):
         raise InputError(
             f"correlation must have a matrix of {len(names)} rows of as many numbers and names that differ, got "
-            f"another in {path}: mend it"
+            f"another in {path}: fix it"
         )
-    matrix = np.array(rows, dtype=float)
-    if len(names) and (
-        np.abs(matrix - matrix.T).max() > 1e-9
-        or np.abs(np.diag(matrix) - 1.0).max() > 1e-9
-        or np.linalg.eigvalsh(matrix)[0] <= 0.0
-    ):
+    matrix = np.array(table.matrix).reshape(len(names), len(names))
+    is_symmetric = np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9)
+    if not is_symmetric or not np.allclose(np.diag(matrix), 1.0, rtol=0.0, atol=1e-9) or not _is_definite(matrix):
         raise InputError(
             f"correlation must be symmetric and positive definite with ones on its diagonal, got another matrix in "
-            f"{path}: mend it"
+            f"{path}: fix it"
         )
     return tuple(names), tuple(tuple(row) for row in matrix.tolist())
+
+
+def _is_definite(matrix: Array) -> bool:
+    return matrix.size == 0 or bool(np.linalg.eigvalsh(matrix)[0] > 0.0)
+
+
+def energy_note(
+    layer_names: tuple[str, ...], constants: Materials, *, bone: str = "bone", stated: float | None = None
+) -> str:
+    """Describe the specific cutting energy of each layer, its tangential chip coefficient, with range and origin.
+
+    Parameters
+    ----------
+    layer_names
+        Layers of the bone.
+    constants
+        Constants of the scene.
+    bone
+        Material of bone.
+    stated
+        Coefficient that the scene states in place of all of them [N/mm2].
+    """
+    if stated is not None:
+        return f"{1e-3 * stated:g} J/mm3, as the scene states"
+    remarks = []
+    for layer in layer_names:
+        material = CUT_AS.get(layer, bone)
+        energy = constants.layer_constants(layer, bone=bone)[ENERGY]
+        known = [name for name in (layer, material) if f"cutting.{name}.{ENERGY}" in constants.given]
+        origin = f" of {Path(constants.file).name}" if known else ""
+        remarks.append(
+            f"{[*known, material][0]} {1e-3 * energy.value:g} ({1e-3 * energy.low:g}-{1e-3 * energy.high:g}) J/mm3"
+            f"{origin}, confidence {energy.confidence}"
+        )
+    return "; ".join(sorted(set(remarks)))

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from tissue.materials.constants import Constant, listed
-from tissue.materials.cutting import CUT_AS
+from tissue.materials.constants import CUT_AS, Constant, listed
 from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import BlockAnatomy
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy

@@ -19,7 +19,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.builders.registry import motion_of
 from tissue.haptics.loop.vibration import Vibration
-from tissue.materials.cutting import CuttingCoefficients
+from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.density_nodes import DensityNodes
 from tissue.models.bone.engagement import COEFFICIENTS, EngagedBone
 from tissue.models.bone.model import BoneModel

@@ -8,10 +8,9 @@ import trimesh
 from ct_ball import CENTRE_MM, RADIUS_MM, SHELL_MM, ball
 
 from meshes.base.errors import InputError
-from meshes.ct.cored_bone import cored_anatomy
+from meshes.ct.bone_inside import cored_anatomy, imaged_anatomy
 from meshes.ct.density import DensityLaw
-from meshes.ct.imaged_bone import imaged_anatomy
-from meshes.ct.labelled_bone import by_threshold, cropped
+from meshes.ct.extraction import by_threshold
 from meshes.images.frame import Image
 from meshes.surfaces.site import place_site
 from meshes.surfaces.surface import surface_from_triangles
@@ -70,22 +69,6 @@ def test_layers_follow_from_density_and_depth(imaged, turn):
     dense = np.isin(volume.layer, (0, 1)) & held
     assert np.median(volume.density_kg_m3[dense]) == pytest.approx(1400.0, rel=0.02)
     assert np.median(volume.density_kg_m3[held & ~dense]) == pytest.approx(750.0, rel=0.02)
-
-
-def test_a_bone_that_the_image_cuts_off_has_its_density_to_the_cut():
-    half = cropped(ball(), ((-50.0, -50.0, 0.0), (50.0, 50.0, 50.0)))
-    bone = by_threshold(half, 475.0)
-    surface = surface_from_triangles(*bone.triangles, scale_mm=1.0, cut_off=True)
-    anatomy = imaged_anatomy(surface, place_site(surface, centre_mm=TOP.tolist()), bone.density(LAW))
-    volume = voxelise(anatomy, spacing_m=1e-3)
-    assert 1e9 * volume.volume_m3() == pytest.approx(0.5 * ball_mm3(RADIUS_MM), rel=0.06)
-    assert volume.density_kg_m3[volume.fraction > 0].min() > 600.0
-
-
-def test_no_joint_has_no_subchondral_plate(imaged):
-    surface, density = imaged
-    anatomy = imaged_anatomy(surface, place_site(surface, centre_mm=TOP.tolist()), density)
-    assert layers_of(voxelise(anatomy, spacing_m=1e-3))["subchondral"] == 0.0
 
 
 def test_a_density_of_another_bone_or_unit_is_refused(imaged):

@@ -5,7 +5,7 @@ import pytest
 from ct_ball import ball_mask
 
 from meshes.base.errors import InputError
-from meshes.ct.kept_label import kept_label
+from meshes.ct.extraction import kept_label
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
 from meshes.surfaces.surface import surface_from_triangles
@@ -38,13 +38,6 @@ def test_a_thread_of_one_voxel_that_hangs_on_a_thick_piece_stays():
     centres = np.argwhere(mask) * SPACING_MM + ORIGIN_MM
     assert distance_mm(mask, centres).max() < 0.5 * max(SPACING_MM)
     assert distance_mm(mask, centres[centres[:, 0] < -9.0]).max() < 0.0
-
-
-def test_one_voxel_is_a_piece():
-    mask = np.zeros(EMPTY.values.shape, dtype=bool)
-    mask[60, 24, 20] = mask[5, 5, 5] = True
-    at = np.array([60, 24, 20]) * SPACING_MM + ORIGIN_MM
-    assert distance_mm(mask, [at])[0] < 0.0 < distance_mm(mask, [at + 0.8])[0]
 
 
 def test_what_the_edge_cuts_off_is_reported():

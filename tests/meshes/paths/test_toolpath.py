@@ -7,9 +7,8 @@ import pytest
 import trimesh
 
 from meshes.base.errors import InputError
-from meshes.paths.depth import depth_along
 from meshes.paths.replay_table import to_replay
-from meshes.paths.toolpath import Toolpath, read_toolpath
+from meshes.paths.toolpath import Toolpath, depth_along, read_toolpath
 from meshes.surfaces.site import Site
 from meshes.surfaces.surface import surface_from_triangles
 from tissue.motion.replay import read_replay

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshes.tooth.label_sampling import PlacedLabels
-from meshes.tooth.label_shares import REACH, LabelShares
+from meshes.tooth.label_sampling import REACH, LabelShares, PlacedLabels
 from meshes.tooth.label_volume import LabelledTooth
 from meshes.tooth.layers import CARIES, DENTIN, ENAMEL, TOOTH_LAYERS
 from meshes.voxels.distances import SURFACE_STEPS, SURFACE_ZERO

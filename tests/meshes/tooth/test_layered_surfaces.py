@@ -34,10 +34,10 @@ def ball(radius, centre=(0.0, 0.0, 0.0), hollow=False):
     return mesh
 
 
-def block(size, bottom, hollow=False):
-    """A box whose lowest face is centred at (0, 0, bottom)."""
+def block(size, bottom, hollow=False, aside=0.0):
+    """A box whose lowest face is centred at (aside, 0, bottom)."""
     mesh = trimesh.creation.box(size)
-    mesh.apply_translation((0.0, 0.0, bottom + 0.5 * size[2]))
+    mesh.apply_translation((aside, 0.0, bottom + 0.5 * size[2]))
     if hollow:
         mesh.invert()
     return mesh
@@ -157,62 +157,13 @@ def test_scattered_points_are_sorted_as_those_of_a_lattice():
     assert not inside_scattered(sphere.vertices_m, sphere.faces, points + 1.0).any()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"cement": "dentin"},
-            "surfaces must name layers of enamel, dentin, pulp, caries, ligament, bone, got cement: ",
-        ),
-        ({"enamel": None}, "surfaces must give enamel and dentin, got dentin, pulp: add the enamel"),
-        (
-            {"enamel": "apart"},
-            "enamel surface must touch the others in one common frame and unit, got one 4 mm from dentin, the nearest",
-        ),
-        ({"pulp": "beside"}, "pulp must lie within the dentin, got 2"),
-    ],
-)
-def test_teeth_that_cannot_be(change, message):
-    surfaces = blocks()
-    (name, what), *_ = change.items()
-    if what is None:
-        del surfaces[name]
-    elif what == "apart":
-        surfaces[name] = blocks(lift=4.0)[name]
-    elif what == "beside":
-        outside = block((2, 2, 6), 4.0)
-        outside.apply_translation((5.0, 0.0, 0.0))
-        surfaces[name] = surface(outside)
-    else:
-        surfaces[name] = surfaces[what]
-    with pytest.raises(InputError) as refusal:
-        layered_anatomy(surfaces)
-    assert str(refusal.value).startswith(message)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"socket_mm": 2.0}, "socket_mm must be 0 without a ligament or with a bone surface, got 2: "),
-        ({"socket_mm": math.inf}, "socket_mm must be in [0, 10], got inf: use 2.5, or 0 for none"),
-    ],
-)
-def test_refused_options(options, message):
-    with pytest.raises(InputError) as refusal:
-        layered_anatomy(blocks(), **options)
-    assert str(refusal.value).startswith(message)
-
-
 def test_size_of_no_tooth(tmp_path):
     for name, part in blocks().items():
         trimesh.Trimesh(part.vertices_m * 1e3, part.faces).export(tmp_path / f"{name}.stl")
     paths = {name: tmp_path / f"{name}.stl" for name in blocks()}
-    with pytest.raises(InputError) as refusal:
+    with pytest.raises(InputError, match="scale_mm must make the tooth 5 to 40 mm long, got 10, which makes it 150 mm"):
         layered_surfaces(paths, scale_mm=10)
-    assert str(refusal.value) == (
-        "scale_mm must make the tooth 5 to 40 mm long, got 10, which makes it 150 mm: use the scanner's value, about 1"
-    )
-    with pytest.raises(InputError, match="file must exist, got "):
+    with pytest.raises(InputError, match="file must exist"):
         layered_surfaces({**paths, "ligament": tmp_path / "gone.stl"})
 
 
@@ -247,3 +198,24 @@ def test_real_molar_in_a_socket(real):
     ligament = (volume.layer == TOOTH_LAYERS.index("ligament")) & (volume.fraction > 0)
     away = distance_transform_edt(~ligament) * spacing
     assert away[bone & (volume.fraction > 127)].max() == pytest.approx(2e-3, abs=1.5 * spacing)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        ({"cement": surface(block((1, 1, 1), 0.0))}, {}, "surfaces must name layers"),
+        ({"enamel": None}, {}, "surfaces must give enamel and dentin"),
+        (
+            {"enamel": blocks(lift=4.0)["enamel"]},
+            {},
+            "enamel surface must touch the others .* got one 4 mm from dentin",
+        ),
+        ({"pulp": surface(block((2, 2, 6), 4.0, aside=5.0))}, {}, "pulp must lie within the dentin"),
+        ({}, {"socket_mm": 2.0}, "socket_mm must be 0 without a ligament"),
+        ({}, {"socket_mm": math.inf}, "socket_mm must be in"),
+    ],
+)
+def test_teeth_that_cannot_be(change, options, message):
+    surfaces = {name: part for name, part in (blocks() | change).items() if part is not None}
+    with pytest.raises(InputError, match=message):
+        layered_anatomy(surfaces, **options)

@@ -170,13 +170,6 @@ def test_distance_is_a_bound(width, length, height, cusp):
     assert rise.max() <= 1.0 + 1e-9
 
 
-def test_a_voxel_does_not_depend_on_the_region(tooth):
-    part = voxelise(molar(), spacing_m=SPACING, region_m=((-3.1e-3, -2e-3, -7.33e-3), (1.2e-3, 3e-3, 1e-3)))
-    window = within(tooth, part)
-    for name in ("fraction", "layer", "density_kg_m3"):
-        assert np.array_equal(getattr(part, name), getattr(tooth, name)[window]), name
-
-
 def test_lesion_has_its_size_and_softens_toward_its_middle(tooth):
     depth, diameter = 3.5 * MM, 3.0 * MM
     volume = voxelise(

@@ -6,20 +6,10 @@ import sys
 
 import numpy as np
 import pytest
-from voxel_surface import voxel_surface
 
 import meshes
 from meshes.base.errors import InputError
-from meshes.shapes import sdf
-from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.voxels.volume import VoxelVolume
-from meshes.voxels.voxelise import voxelise
-
-
-@pytest.fixture(scope="module")
-def ball():
-    shape = sdf.sphere(3e-3, (1e-3, 0, 0))
-    return voxelise(Anatomy("ball", shape, ("cortical",), cortical_block().classify), spacing_m=2e-4)
 
 
 def arrays(shape=(2, 3, 4)):
@@ -44,23 +34,6 @@ def test_books():
     assert one.volume_m3("a") == pytest.approx(12e-9) and one.volume_m3("b") == pytest.approx(11.2e-9)
     assert one.volume_m3() == pytest.approx(23.2e-9)
     assert one.centres_m(2) == pytest.approx([5e-4, 1.5e-3, 2.5e-3, 3.5e-3])
-
-
-def test_surface_is_closed_outward_and_of_the_right_size(ball):
-    import trimesh
-
-    vertices, faces = voxel_surface(ball)
-    mesh = trimesh.Trimesh(vertices, faces)
-    assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(4 / 3 * math.pi * 27e-9, rel=0.01)  # marching cubes on 0.2 mm, radius 3 mm
-    assert np.linalg.norm(vertices - [1e-3, 0, 0], axis=1) == pytest.approx(3e-3, abs=5e-5)
-
-
-def test_surface_closes_where_bone_meets_the_edge():
-    import trimesh
-
-    mesh = trimesh.Trimesh(*voxel_surface(volume()))
-    assert mesh.is_watertight and mesh.volume == pytest.approx(24e-9, rel=0.2)  # corners cut by half a voxel
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from tissue.evaluation.reference.force import Resolution, wrench_at
 from tissue.evaluation.reference.history import force_on_path
 from tissue.evaluation.reference.path import ToolPath
 from tissue.evaluation.reference.solid import Solid
-from tissue.materials.cutting import cutting_coefficients
+from tissue.materials.constants import cutting_coefficients
 
 R, FEED, DEPTH = 1.5e-3, 4e-3, 0.4e-3
 CLOSE = 1e-3

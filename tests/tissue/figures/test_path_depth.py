@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from meshes.paths.depth import depth_along
-from meshes.paths.toolpath import Toolpath
+from meshes.paths.toolpath import Toolpath, depth_along
 from meshes.surfaces.surface import surface_from_triangles
 from tissue.figures.path_depth import draw_path_depth
 

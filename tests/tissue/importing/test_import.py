@@ -5,16 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import SimpleITK
 from ct_ball import CENTRE_MM, DENSE_HU, RADIUS_MM, SOFT_HU, ball, ball_mask
 from image_writers import write_dicom, write_meta, write_nifti, write_nrrd
+from named_labels import write_named_labels
 
 import tissue
 from meshes.base.errors import InputError
 from meshes.ct.labels import read_labels
 from meshes.images.reading import read_image
-from tissue.importing.scene_text import scene_name
-from tissue.materials.cutting import cutting_coefficients
+from tissue.importing.draft import scene_name
+from tissue.materials.constants import cutting_coefficients
 
 TOP = tuple((CENTRE_MM + np.array([0.0, 0.0, RADIUS_MM])).tolist())
 LINE = "line:1.0,500.0"
@@ -107,25 +107,13 @@ def test_a_site_may_be_given_in_ras(reference, tmp_path):
     assert (other.folder / "scene.toml").read_text() == (made.folder / "scene.toml").read_text()
 
 
-def write_labels(path, image, names):
-    values = np.zeros(image.values.shape, dtype=np.uint8)
-    values[ball_mask(image)] = 1
-    values[ball_mask(image, radius_mm=3.0)] = 2
-    stored = SimpleITK.GetImageFromArray(np.ascontiguousarray(values.T))
-    stored.SetSpacing(image.spacing_mm)
-    stored.SetOrigin(image.origin_mm)
-    for index, (number, name) in enumerate(names.items()):
-        stored.SetMetaData(f"Segment{index}_Name", name)
-        stored.SetMetaData(f"Segment{index}_LabelValue", str(number))
-    SimpleITK.WriteImage(stored, str(path), True)
-    return path
-
-
 def test_a_label_is_the_bone_and_its_names_are_kept(tmp_path):
     image = ball()
     write_nrrd(tmp_path / "ct.nrrd", *axes_of(image))
     names = {1: "humerus", 2: "canal"}
-    labels = write_labels(tmp_path / "a.seg.nrrd", image, names)
+    values = ball_mask(image).astype(np.uint8) + ball_mask(image, radius_mm=3.0)
+    place = {"spacing_mm": image.spacing_mm, "origin_mm": image.origin_mm}
+    labels = write_named_labels(tmp_path / "a.seg.nrrd", values, names, **place)
     made = imported(tmp_path / "ct.nrrd", tmp_path / "out", labels=labels, region="humerus")
     kept = read_labels(made.folder / "labels.seg.nrrd")
     assert kept.names == names

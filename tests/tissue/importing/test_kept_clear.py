@@ -9,7 +9,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import silent
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image
-from tissue.importing.kept_clear import kept_clear, plain_names
+from tissue.importing.placing import kept_clear, plain_names
 from tissue.importing.request import ImportRequest
 from tissue.scene.keep_clear import KeepClear
 

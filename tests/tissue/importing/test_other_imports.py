@@ -4,26 +4,15 @@ import json
 
 import numpy as np
 import pytest
-import SimpleITK
 from ct_ball import CENTRE_MM, DENSE_HU, RADIUS_MM, SOFT_HU, ball, ball_mask
 from image_writers import write_nrrd
+from named_labels import write_named_labels
 
 import tissue
 from meshes.base.errors import InputError
 
 TOP = tuple((CENTRE_MM + np.array([0.0, 0.0, RADIUS_MM])).tolist())
 BONE = {"density": "line:1.0,500.0", "site": TOP, "pictures": False}
-
-
-def write_labels(path, values, spacing_mm, origin_mm, names):
-    stored = SimpleITK.GetImageFromArray(np.ascontiguousarray(values.astype(np.uint8).T))
-    stored.SetSpacing(spacing_mm)
-    stored.SetOrigin(origin_mm)
-    for index, (number, name) in enumerate(names.items()):
-        stored.SetMetaData(f"Segment{index}_Name", name)
-        stored.SetMetaData(f"Segment{index}_LabelValue", str(number))
-    SimpleITK.WriteImage(stored, str(path), True)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +25,8 @@ def ct(tmp_path_factory):
     canal = ball_mask(image, centre_mm=CENTRE_MM + np.array([5.0, 0.0, 8.0]), radius_mm=3.0)
     values[canal] = 2
     values[ball_mask(image, centre_mm=CENTRE_MM - np.array([0.0, 0.0, 18.0]), radius_mm=4.0)] = 2  # larger, far away
-    write_labels(folder / "a.seg.nrrd", values, image.spacing_mm, image.origin_mm, {1: "bone", 2: "facial nerve"})
+    place = {"spacing_mm": image.spacing_mm, "origin_mm": image.origin_mm}
+    write_named_labels(folder / "a.seg.nrrd", values, {1: "bone", 2: "facial nerve"}, **place)
     return folder
 
 
@@ -114,7 +104,9 @@ def tooth(folder):
     values[20:30, 15:25, 52:60] = 1
     values[8:10, 8:10, 56:60] = 1
     names = {1: "caries", 2: "enamel", 3: "dentin", 4: "pulp"}
-    return write_labels(folder / "tooth.seg.nrrd", values, (0.25,) * 3, (5.0, 6.0, 7.0), names)
+    return write_named_labels(
+        folder / "tooth.seg.nrrd", values, names, spacing_mm=(0.25,) * 3, origin_mm=(5.0, 6.0, 7.0)
+    )
 
 
 def test_a_tooth_of_labels_is_drilled_over_its_largest_lesion(tmp_path):
@@ -165,7 +157,9 @@ def organ(folder):
     values[x**2 + (y + 12) ** 2 + z**2 < 36.0] = 7
     assert 8.0 * np.count_nonzero(values == 7) == TUMOUR_MM3
     write_nrrd(folder / "ct.nrrd", np.where(values > 0, 60, -100).astype(np.int16), np.diag(spacing), origin)
-    return write_labels(folder / "a.seg.nrrd", values, spacing, origin, {5: "liver", 7: "tumour"})
+    return write_named_labels(
+        folder / "a.seg.nrrd", values, {5: "liver", 7: "tumour"}, spacing_mm=spacing, origin_mm=origin
+    )
 
 
 @pytest.mark.slow

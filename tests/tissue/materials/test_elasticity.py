@@ -135,17 +135,12 @@ def test_fibres_of_any_length_turn_the_third_axis():
     assert along @ tensor_of(strain) @ along == pytest.approx(1.0 / 2e6)
 
 
-@pytest.mark.parametrize("ratio", [0.5, -1.0, 0.7, float("nan")])
-def test_poisson_ratio_outside_is_refused(ratio):
-    with pytest.raises(
-        InputError, match=r"poisson_ratio must be in \(-1, 0.5\), got .*: use 0.499, or quadratic elements"
-    ):
-        isotropic(5e3, [0.3, ratio])
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda: lame(5e3, [0.3, 0.5]), "poisson_ratio must be in"),
+        (lambda: lame(5e3, [0.3, -1.0]), "poisson_ratio must be in"),
+        (lambda: lame(5e3, [0.3, np.nan]), "poisson_ratio must be in"),
         (lambda: lame(-5.0, 0.3), "young_Pa must be positive and finite"),
         (lambda: lame([5e3, np.nan], 0.3), "young_Pa must be positive and finite"),
         (lambda: orthotropic(**{**FEMUR, "poisson_ratio": (0.9, 0.9, 0.9)}), "positive definite"),

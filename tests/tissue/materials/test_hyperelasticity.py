@@ -120,16 +120,17 @@ def test_small_strains_are_those_of_the_linear_law(name):
     assert law.stress(unit) == pytest.approx(np.zeros((3, 3)), abs=1e-10 * BULK)
 
 
-def test_a_body_turned_over_and_unstable_constants_are_refused():
-    law = LAWS["yeoh"]
-    assert law.energy(np.diag([1.0, 1.0, -1.0])) == np.inf
-    with pytest.raises(InputError, match="positive determinant"):
-        law.stress(np.diag([1.0, 1.0, -1.0]))
-    with pytest.raises(InputError, match="bulk_Pa must be positive"):
-        Hyperelastic.neo_hookean(1.0, bulk_Pa=0.0)
-    with pytest.raises(InputError, match="shear modulus"):
-        Hyperelastic.neo_hookean(-1.0, bulk_Pa=1.0)
-    with pytest.raises(InputError, match="must not be 0"):
-        Hyperelastic(1.0, ((1.0, 0.0),))
-    with pytest.raises(InputError, match="finite"):
-        Hyperelastic(1.0, ((np.nan, 2.0),))
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: LAWS["yeoh"].stress(np.diag([1.0, 1.0, -1.0])), "gradient must"),
+        (lambda: Hyperelastic.neo_hookean(1.0, bulk_Pa=0.0), "bulk_Pa must"),
+        (lambda: Hyperelastic.neo_hookean(-1.0, bulk_Pa=1.0), "shear modulus"),
+        (lambda: Hyperelastic(1.0, ((1.0, 0.0),)), "alpha of terms must"),
+        (lambda: Hyperelastic(1.0, ((np.nan, 2.0),)), "constants of a law must"),
+    ],
+)
+def test_a_body_turned_over_and_unstable_constants_are_refused(make, words):
+    assert LAWS["yeoh"].energy(np.diag([1.0, 1.0, -1.0])) == np.inf
+    with pytest.raises(InputError, match=words):
+        make()

@@ -116,9 +116,3 @@ def test_bad_series(g, tau_s, words):
     """Refused where it enters."""
     with pytest.raises(InputError, match=words):
         Prony(g, tau_s)
-
-
-def test_bad_step():
-    """A tick has a length."""
-    with pytest.raises(InputError, match="step_s must be positive"):
-        HereditaryIntegral(relaxation_of(SERIES), (1,), step_s=0.0)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
-from tissue.materials.cutting import CuttingCoefficients
+from tissue.materials.constants import CuttingCoefficients
 
 __all__ = ["Solid"]
 

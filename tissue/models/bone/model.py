@@ -14,7 +14,7 @@ from kernels.mirror import Mirror
 from kernels.older_cuts import SLOTS
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
-from tissue.materials.cutting import CuttingCoefficients
+from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.carver import Carver, Removal
 from tissue.models.bone.elements import elements_of

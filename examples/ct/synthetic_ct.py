@@ -1,39 +1,66 @@
-"""A CT that was never taken: a body with a humerus and a vertebra above a pad of density rods, for tests and tutorials.
+"""Write a synthetic CT of a humerus, a vertebra and density rods: ``python examples/ct/synthetic_ct.py FOLDER``.
 
-Hounsfield units follow from composition: each voxel's linear attenuation at one energy by volume shares of the
-materials of ``attenuation.toml``, bone of every density being dense bone in marrow. Noise and 12-bit steps are added.
+Hounsfield units follow from composition: the linear attenuation of each voxel at one energy is that of volume fractions
+of the materials in ``meshes/ct/attenuation.toml``. Bone of every density is dense bone in marrow. Noise and 12-bit
+quantisation are added. The guide to CT import and the tests use it.
 """
 
+import argparse
+import json
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import require_positive, require_range
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, require_positive, require_range
 from meshes.ct.attenuation import density_of, linear_attenuation
 from meshes.ct.labels import Labels
 from meshes.images.frame import Image, StoredImage, along_lps
-
-__all__ = ["HEAD_CENTRE_MM", "HEAD_RADIUS_MM", "RODS_KG_M3", "CtPhantom", "Person", "ct_phantom"]
 
 RODS_KG_M3 = (200.0, 400.0, 600.0, 800.0, 1000.0, 1200.0, 1400.0, 1600.0, 1800.0)
 """Apparent density of the rods [kg/m3], labelled rod_200, rod_400 ... from the patient's right to the left."""
 HEAD_CENTRE_MM = (35.0, -8.0, 20.0)
 HEAD_RADIUS_MM = 22.0
 """Ball of the humerus's head [mm, LPS]."""
-_SHAFT_X_MM, _SHAFT_MM, _NECK_MM, _RIM_MM, _RIM_RADIUS_MM = 40.0, 13.0, -20.0, 18.0, 28.0
-"""Axis and radius of the shaft, where the metaphysis begins in it, where its rim is, and that rim's radius [mm]."""
-CORTEX_KG_M3, SUBCHONDRAL_KG_M3, TRABECULAR_KG_M3 = 1850.0, 1200.0, 350.0
-_VERTEBRA_SHELL_KG_M3, _VERTEBRA_CORE_KG_M3, _ARCH_KG_M3 = 1000.0, 250.0, 1100.0
+_SHAFT_X_MM = 40.0
+_SHAFT_MM = 13.0
+"""Position of the shaft's axis and radius of the shaft [mm]."""
+_NECK_MM = -20.0
+_RIM_MM = 18.0
+_RIM_RADIUS_MM = 28.0
+"""Heights of the lower end and of the rim of the metaphysis, and radius of the rim [mm]."""
+CORTEX_KG_M3 = 1850.0
+SUBCHONDRAL_KG_M3 = 1200.0
+TRABECULAR_KG_M3 = 350.0
+_VERTEBRA_SHELL_KG_M3 = 1000.0
+_VERTEBRA_CORE_KG_M3 = 250.0
+_ARCH_KG_M3 = 1100.0
 _HALF_MM = (108.0, 80.0, 52.0)
 """Half size of the image [mm]; the shaft is cut off at its lower edge."""
-_LOWEST_HU, _HIGHEST_HU = -1024, 3071
-"""Values of 12 bits."""
+_LOWEST_HU = -1024
+_HIGHEST_HU = 3071
+"""Range of 12-bit values."""
+ORIENTATIONS = ("LPS", "RAS", "AIR", "SLP")
+"""What the axes of an array may point to; any of the 48 will do."""
+_AXES = {
+    "L": (0, 1.0),
+    "R": (0, -1.0),
+    "P": (1, 1.0),
+    "A": (1, -1.0),
+    "S": (2, 1.0),
+    "I": (2, -1.0),
+}
+_TO_RAS = np.diag([-1.0, -1.0, 1.0])
+_CT_CLASS = "1.2.840.10008.5.1.4.1.1.2"
 
-Distance = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Distance = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
@@ -154,7 +181,8 @@ def ct_phantom(
     person = person or Person()
     parts = _parts()
     names = list(dict.fromkeys(part.label for part in parts))
-    attenuation, density = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    attenuation = np.empty(shape, np.float32)
+    density = np.empty(shape, np.float32)
     labels = np.empty(shape, np.uint8)
     plane = np.stack(np.meshgrid(*map(np.arange, shape[:2]), [0], indexing="ij"), axis=-1)[:, :, 0] @ steps.T + origin
     for k in range(shape[2]):
@@ -171,14 +199,15 @@ def ct_phantom(
 def _painted(
     parts: list[_Part],
     names: list[str],
-    at: NDArray[np.float64],
+    at: Array,
     energy_keV: float,
     person: Person,
-    spacing: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
+    spacing: Array,
+) -> tuple[Array, Array, NDArray[np.uint8]]:
     """Linear attenuation [1/m], bone density [kg/m3] and label at points; edges are as wide as a voxel."""
     total = np.full(at.shape[:-1], linear_attenuation("air", energy_keV))
-    density, labels = np.zeros_like(total), np.zeros(total.shape, np.uint8)
+    density = np.zeros_like(total)
+    labels = np.zeros(total.shape, np.uint8)
     width = float(np.mean(spacing))
     for part in parts:
         distance = part.distance(at)
@@ -204,7 +233,9 @@ def _attenuation(part: _Part, energy_keV: float, person: Person) -> float:
 
 def _parts() -> list[_Part]:
     """Bodies in the order in which they are painted over each other."""
-    head, shaft, spine = HEAD_CENTRE_MM, (_SHAFT_X_MM, HEAD_CENTRE_MM[1]), (-40.0, -8.0)
+    head = HEAD_CENTRE_MM
+    shaft = (_SHAFT_X_MM, HEAD_CENTRE_MM[1])
+    spine = (-40.0, -8.0)
     canal = (spine[0], 21.5)
     rods = [
         _Part(f"rod_{rod:g}", partial(_cylinder, centre=(22.0 * (k - 4), 70.0), radius=6.5), rod)
@@ -233,9 +264,7 @@ def _parts() -> list[_Part]:
     ]
 
 
-def _ellipse(
-    at: NDArray[np.float64], *, centre: tuple[float, float], radii: tuple[float, float]
-) -> NDArray[np.float64]:
+def _ellipse(at: Array, *, centre: tuple[float, float], radii: tuple[float, float]) -> Array:
     """About the distance from an elliptic cylinder along z: its level function over the function's slope."""
     x, y = ((at[..., k] - centre[k]) / radii[k] for k in (0, 1))
     level = np.hypot(x, y)
@@ -243,18 +272,18 @@ def _ellipse(
 
 
 def _cylinder(
-    at: NDArray[np.float64],
+    at: Array,
     *,
     centre: tuple[float, float],
     radius: float,
     top: float = math.inf,
     bottom: float = -math.inf,
-) -> NDArray[np.float64]:
+) -> Array:
     around = np.hypot(at[..., 0] - centre[0], at[..., 1] - centre[1]) - radius
     return np.asarray(np.maximum(around, np.maximum(at[..., 2] - top, bottom - at[..., 2])))
 
 
-def _metaphysis(at: NDArray[np.float64], *, inside: float) -> NDArray[np.float64]:
+def _metaphysis(at: Array, *, inside: float) -> Array:
     """A cone that widens from the shaft to a rim about the head's lower half, `inside` it by so much [mm]."""
     up = np.clip((at[..., 2] - _NECK_MM) / (_RIM_MM - _NECK_MM), 0.0, 1.0)
     radius = _SHAFT_MM + up * (_RIM_RADIUS_MM - _SHAFT_MM) - inside
@@ -262,19 +291,186 @@ def _metaphysis(at: NDArray[np.float64], *, inside: float) -> NDArray[np.float64
     return np.asarray(np.maximum(around, np.maximum(at[..., 2] + inside - _RIM_MM, _NECK_MM + inside - at[..., 2])))
 
 
-def _ball(at: NDArray[np.float64], *, centre: tuple[float, float, float], radius: float) -> NDArray[np.float64]:
+def _ball(at: Array, *, centre: tuple[float, float, float], radius: float) -> Array:
     return np.asarray(np.linalg.norm(at - np.array(centre), axis=-1) - radius)
 
 
-def _arch(at: NDArray[np.float64], *, spine_x: float) -> NDArray[np.float64]:
+def _arch(at: Array, *, spine_x: float) -> Array:
     """Two pedicles from the body backward, the laminae that join them behind the canal, and a spinous process."""
-    across, y, z = np.abs(at[..., 0] - spine_x), at[..., 1], at[..., 2]
+    across = np.abs(at[..., 0] - spine_x)
+    y = at[..., 1]
+    z = at[..., 2]
     pedicle = np.maximum(np.maximum(np.abs(across - 12.0) - 4.0, np.abs(y - 16.0) - 14.0), np.abs(z - 5.0) - 6.5)
     lamina = np.maximum(np.maximum(across - 16.0, np.abs(y - 31.5) - 3.0), np.abs(z) - 11.0)
     spinous = np.maximum(np.maximum(across - 3.0, np.abs(y - 36.0) - 5.0), np.abs(z + 3.0) - 7.0)
     return np.asarray(np.minimum(np.minimum(pedicle, lamina), spinous))
 
 
-def _pad(at: NDArray[np.float64]) -> NDArray[np.float64]:
+def _pad(at: Array) -> Array:
     """A pad of water below the body."""
     return np.asarray(np.maximum(np.abs(at[..., 0]) - 100.0, np.abs(at[..., 1] - 70.0) - 8.5))
+
+
+def reoriented(stored: StoredImage, axes: str) -> StoredImage:
+    """The same voxels in the same places with the array's axes along `axes`, such as RAS: right, anterior, superior.
+
+    Raises
+    ------
+    InputError
+        If the axes are not one of each pair L or R, P or A, S or I.
+    """
+    found = [_AXES.get(letter.upper(), (3, 1.0)) for letter in axes]
+    if sorted(axis for axis, _ in found) != [0, 1, 2]:
+        raise InputError(f"axes must name each direction once, got {axes!r}: use LPS or RAS")
+    order = [axis for axis, _ in found]
+    signs = np.array([sign for _, sign in found])
+    steps = (stored.directions * stored.spacing_mm)[:, order]
+    flipped = np.flatnonzero(signs < 0.0)
+    values = np.flip(np.transpose(stored.values, order), tuple(flipped.tolist()))
+    origin = stored.origin_mm + sum((steps[:, axis] * (values.shape[axis] - 1) for axis in flipped), start=np.zeros(3))
+    spacing = tuple(stored.spacing_mm[axis] for axis in order)
+    x, y, z = spacing
+    return StoredImage(values, (x, y, z), stored.directions[:, order] * signs, origin)
+
+
+def write_stored(path: str | Path, stored: StoredImage, *, tilt_deg: float = 0.0) -> Path:
+    """Write an image in the format of its name: .nii, .nii.gz, .nrrd, .mha, .mhd, or none for a DICOM folder.
+
+    Raises
+    ------
+    InputError
+        If the name ends otherwise.
+    """
+    path = Path(path)
+    if path.name.endswith((".nii", ".nii.gz")):
+        _write_nifti(path, stored)
+    elif path.suffix in (".nrrd", ".mha", ".mhd"):
+        _write_itk(path, stored)
+    elif path.suffix == "":
+        _write_dicom(path, stored, tilt_deg)
+    else:
+        raise InputError(f"file must end in .nii.gz, .nrrd, .mha or be a folder, got {path.name}: use ct.nii.gz")
+    return path
+
+
+def write_phantom(folder: str | Path, phantom: CtPhantom) -> Path:
+    """Write a phantom in four formats along four orders of axes, its labels and what is true of it.
+
+    ``dicom`` (LPS), ``ct.nii.gz`` (RAS), ``ct.nrrd`` (AIR) and ``ct.mha`` (SLP); ``labels.nii.gz`` with the names in
+    ``labels.toml``; ``truth.json``: effective energy, density and mean of each rod, and the ball of the humerus's head.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, axes in zip(("dicom", "ct.nii.gz", "ct.nrrd", "ct.mha"), ORIENTATIONS, strict=True):
+        write_stored(folder / name, reoriented(phantom.stored, axes))
+    write_stored(folder / "labels.nii.gz", phantom.labels)
+    names = "".join(f"{name} = {number}\n" for number, name in phantom.names.items())
+    (folder / "labels.toml").write_text(f"[labels]\n{names}", "utf-8")
+    truth = {
+        "effective_energy_keV": phantom.energy_keV,
+        "rods": [{"density_kg_m3": density, "mean_HU": mean} for density, mean in phantom.rod_means().items()],
+        "head_centre_mm_lps": list(HEAD_CENTRE_MM),
+        "head_radius_mm": HEAD_RADIUS_MM,
+    }
+    (folder / "truth.json").write_text(json.dumps(truth, indent=2), "utf-8")
+    return folder
+
+
+def _write_nifti(path: Path, stored: StoredImage) -> None:
+    import nibabel
+
+    affine = np.eye(4)
+    affine[:3, :3] = _TO_RAS @ (stored.directions * stored.spacing_mm)
+    affine[:3, 3] = _TO_RAS @ stored.origin_mm
+    image = nibabel.nifti1.Nifti1Image(np.ascontiguousarray(stored.values), affine)
+    image.header.set_xyzt_units("mm")
+    nibabel.loadsave.save(image, path)
+
+
+def _write_itk(path: Path, stored: StoredImage) -> None:
+    import SimpleITK
+
+    image = SimpleITK.GetImageFromArray(np.ascontiguousarray(stored.values.transpose(2, 1, 0)))
+    image.SetSpacing(stored.spacing_mm)
+    image.SetOrigin(stored.origin_mm.tolist())
+    image.SetDirection(stored.directions.ravel().tolist())
+    SimpleITK.WriteImage(image, str(path), useCompression=path.suffix == ".nrrd")
+
+
+def _write_dicom(folder: Path, stored: StoredImage, tilt_deg: float) -> None:
+    """A series of uncompressed slices, a file each along the array's last axis."""
+    import pydicom
+    from pydicom.uid import UID, ExplicitVRLittleEndian, generate_uid
+
+    folder.mkdir(parents=True, exist_ok=True)
+    study, series = (generate_uid(entropy_srcs=[folder.name, part]) for part in ("study", "series"))
+    steps = stored.directions * stored.spacing_mm
+    for k in range(stored.values.shape[2]):
+        slice_ = pydicom.Dataset()
+        slice_.file_meta = pydicom.dataset.FileMetaDataset()
+        slice_.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+        slice_.file_meta.MediaStorageSOPClassUID = slice_.SOPClassUID = UID(_CT_CLASS)
+        slice_.SOPInstanceUID = generate_uid(entropy_srcs=[folder.name, str(k)])
+        slice_.file_meta.MediaStorageSOPInstanceUID = slice_.SOPInstanceUID
+        slice_.StudyInstanceUID = study
+        slice_.SeriesInstanceUID = series
+        slice_.Modality = "CT"
+        slice_.PatientName = "Phantom^Synthetic"
+        slice_.PatientID = "phantom"
+        slice_.SeriesNumber = 1
+        slice_.InstanceNumber = k + 1
+        slice_.ImagePositionPatient = _decimals(stored.origin_mm + k * steps[:, 2])
+        slice_.ImageOrientationPatient = _decimals(stored.directions[:, :2].T.ravel())
+        slice_.PixelSpacing = _decimals(np.array([stored.spacing_mm[1], stored.spacing_mm[0]]))
+        slice_.SliceThickness = f"{stored.spacing_mm[2]:g}"
+        slice_.GantryDetectorTilt = f"{tilt_deg:g}"
+        slice_.RescaleSlope = "1"
+        slice_.RescaleIntercept = "-1024"
+        slice_.RescaleType = "HU"
+        _set_pixels(slice_, stored.values[:, :, k])
+        slice_.save_as(folder / f"slice{k:04d}.dcm", enforce_file_format=True)
+
+
+def _set_pixels(slice_: Any, values: NDArray[np.number]) -> None:
+    slice_.Rows = values.shape[1]
+    slice_.Columns = values.shape[0]
+    slice_.SamplesPerPixel = 1
+    slice_.PhotometricInterpretation = "MONOCHROME2"
+    slice_.BitsAllocated = 16
+    slice_.BitsStored = 12
+    slice_.HighBit = 11
+    slice_.PixelRepresentation = 0
+    slice_.PixelData = (values + 1024).astype("<u2").tobytes(order="F")
+
+
+def _decimals(numbers: Array) -> list[str]:
+    """Numbers as DICOM writes them, 16 characters at most."""
+    return [f"{number:.9g}" for number in numbers.tolist()]
+
+
+def main(words: list[str] | None = None) -> int:
+    """Write the synthetic CT as the command line asks and return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", help="output folder for dicom/, dicom_tilted/, ct.nii.gz, ct.nrrd, ct.mha and labels")
+    parser.add_argument("--energy-keV", type=float, default=70.0, help="effective energy, 70 by default")
+    parser.add_argument("--noise-HU", type=float, default=20.0, help="standard deviation of a voxel, 20 by default")
+    parser.add_argument("--seed", type=int, default=0, help="of the noise")
+    parser.add_argument("--tilt-deg", type=float, default=12.0, help="tilt of the gantry in dicom_tilted")
+    asked = parser.parse_args(words)
+    rng = np.random.default_rng(asked.seed)
+    try:
+        straight, tilted = (
+            ct_phantom(rng, energy_keV=asked.energy_keV, noise_HU=asked.noise_HU, tilt_deg=tilt)
+            for tilt in (0.0, asked.tilt_deg)
+        )
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    folder = write_phantom(asked.folder, straight)
+    write_stored(folder / "dicom_tilted", tilted.stored, tilt_deg=asked.tilt_deg)
+    print(f"{folder}: a CT of {straight.stored.values.shape} voxels in four formats, its labels and truth.json")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,212 @@
+"""Bones whose inside is known, as anatomies: by the density of a CT, or by a second surface around the core."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from meshes.base.arrays import Bytes, Floats
+from meshes.base.errors import InputError, require_ranges
+from meshes.images.frame import Image
+from meshes.images.itk import header_lines
+from meshes.shapes.anatomy import Anatomy, Classify
+from meshes.shapes.sdf import Shape
+from meshes.surfaces.bone_surface import SURFACE_LAYERS
+from meshes.surfaces.repair import Triangles
+from meshes.surfaces.site import Site
+from meshes.surfaces.surface import Surface
+from meshes.tooth.layer_contact import inside_surface
+from meshes.tooth.layered_surfaces import joined
+from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
+
+__all__ = ["CORTICAL_ABOVE_KG_M3", "IMAGED_LAYERS", "LAW", "cored_anatomy", "imaged_anatomy", "stated_law"]
+
+IMAGED_LAYERS = ("cortical", "subchondral", "trabecular")
+LAW = "density_law"
+"""Key of an image's header that states where its densities come from and how sure they are."""
+CORTICAL_ABOVE_KG_M3 = 1000.0
+"""Apparent density from which bone is cortical: ash density 0.6 g/cm3, where Keyak (1998) changes from trabecular to
+cortical, over ash to apparent 0.598 (Schileo 2008)."""
+_LEAST_KG_M3 = 50.0
+_PLATE_M = 5e-3
+"""Largest depth of a subchondral plate: 1.2 to 2.9 mm on the glenoid (Frich), more where a joint is loaded."""
+_LEAST_COVERED = 0.99
+"""Share of a surface at which its image must hold density."""
+_TO_EDGE = 0.501
+"""Distance [voxel] from the centre of an image's last voxel to its edge, where a bone is cut off, with rounding."""
+_FARTHEST_OUT_M = 0.5e-3
+"""Distance by which a core may reach out of the bone, because surfaces are smoothed apart."""
+_LEAST_TOUCHING = 0.2
+"""Share of a core's points that must lie in the bone or on it: a hollow cortex may be open, as a jaw's to its teeth."""
+
+
+def imaged_anatomy(
+    surface: Surface,
+    site: Site,
+    density: Image,
+    *,
+    cortical_above_kg_m3: float = CORTICAL_ABOVE_KG_M3,
+    articular_radius_mm: float = 0.0,
+) -> Anatomy:
+    """Return the anatomy of a bone in the site frame, its density interpolated in an image.
+
+    Dense bone is cortical; within 5 mm under an articular face it is the subchondral plate; the rest is trabecular.
+
+    Parameters
+    ----------
+    surface
+        Surface of the bone in the frame of the image [m].
+    density
+        Apparent density [kg/m3], which must continue for a voxel beyond the surface.
+    cortical_above_kg_m3
+        Density from which bone is cortical, 300 to 2000 kg/m3.
+    articular_radius_mm
+        Distance from the site across its normal within which the surface is a joint's [mm], 0 for none.
+
+    Raises
+    ------
+    InputError
+        If the image does not cover the surface, or a parameter is out of range.
+    """
+    dense, articular = require_ranges(
+        ("cortical_above_kg_m3", cortical_above_kg_m3, 300.0, 2000.0, "use 1000"),
+        ("articular_radius_mm", articular_radius_mm, 0.0, 100.0, "use 18 for a glenoid, 0 for no joint"),
+    )
+    _require_covered(surface, density)
+    values = density.values.astype(np.float32)
+    origin = 1e-3 * np.array(density.origin_mm)
+    spacing = 1e-3 * np.array(density.spacing_mm)
+    to_voxels = (site.rotation / spacing[:, None]).astype(np.float32)
+    first = ((site.centre_m - origin) / spacing).astype(np.float32)
+
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
+        """Return layer and density [kg/m3] of points [m], shape (n, 3), at depths [m] below the surface, shape (n,)."""
+        from scipy.ndimage import map_coordinates
+
+        at = to_voxels @ np.asarray(points, dtype=np.float32).T + first[:, None]
+        found = np.maximum(map_coordinates(values, at, order=1, mode="nearest"), np.float32(_LEAST_KG_M3))
+        layer = np.where(found >= dense, np.uint8(0), np.uint8(2))
+        if articular > 0.0:
+            aside = np.hypot(points[:, 0], points[:, 1]) < 1e-3 * articular
+            layer[(layer == 0) & aside & (depth < _PLATE_M)] = 1
+        return layer, found
+
+    notes = {
+        "surface": surface.report.source,
+        "repairs": " ".join(surface.report.repairs) or "none",
+        "density": f"{density.source}: {values[values > 0].min():.0f} to {values.max():.0f} kg/m3, cortical from "
+        f"{dense:g} kg/m3",
+    }
+    triangles = site.to_site(surface.vertices_m), surface.faces
+    threshold = _PLATE_M if articular > 0.0 else 0.0
+    return _anatomy(surface, site, TriangleSampler(*triangles, threshold), IMAGED_LAYERS, classify, notes)
+
+
+def cored_anatomy(
+    surface: Surface,
+    core: Surface,
+    site: Site,
+    *,
+    cortical_density_kg_m3: float = 1800.0,
+    trabecular_density_kg_m3: float = 350.0,
+) -> Anatomy:
+    """Return the anatomy of a bone in the site frame: trabecular within the core, cortical elsewhere.
+
+    Parameters
+    ----------
+    surface
+        Surface around the whole bone, or around the cortical bone alone, which is then hollow where the core is.
+    core
+        Surface around the trabecular bone, in the same frame.
+    cortical_density_kg_m3, trabecular_density_kg_m3
+        Apparent densities [kg/m3], 50 to 2500.
+
+    Raises
+    ------
+    InputError
+        If the core lies outside the bone, or a density is out of range.
+    """
+    dense, sparse = require_ranges(
+        ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
+        ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),
+    )
+    _require_within(surface, core)
+    inner = site.to_site(core.vertices_m), core.faces
+    whole = joined([(site.to_site(surface.vertices_m), surface.faces), inner])
+
+    def classify(points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
+        layer = inside_surface(*inner, points).astype(np.uint8)
+        return layer, np.where(layer == 0, np.float32(dense), np.float32(sparse))
+
+    notes = {
+        "surface": f"{surface.report.source} around {core.report.source}",
+        "repairs": " ".join((*surface.report.repairs, *core.report.repairs)) or "none",
+        "densities": f"cortical {dense:g}, trabecular {sparse:g} kg/m3, assumed: the files hold surfaces only",
+    }
+    return _anatomy(surface, site, TriangleSampler(*whole, 0.0), SURFACE_LAYERS, classify, notes)
+
+
+def stated_law(path: Path) -> str:
+    """Return what the header of an image of densities states of their law, or an empty text."""
+    if not path.name.lower().endswith((".nrrd", ".nhdr")):
+        return ""
+    return header_lines(path, ":", "")[0].get(LAW, "").removeprefix("=").strip()
+
+
+def _anatomy(
+    surface: Surface,
+    site: Site,
+    sampler: TriangleSampler,
+    layer_names: tuple[str, ...],
+    classify: Classify,
+    notes: Mapping[str, str],
+) -> Anatomy:
+    """Build the anatomy of a surface at a site from the sampler of its triangles."""
+    vertices = sampler.vertices_m
+    triangles: Triangles = vertices, sampler.faces
+
+    def distance(points: Floats) -> Floats:
+        return triangle_distance(*triangles, points).astype(points.dtype)
+
+    return Anatomy(
+        surface.report.source,
+        Shape(distance, tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist())),
+        layer_names,
+        classify,
+        {"unit": surface.report.unit_guess, "site": site.confidence, **notes},
+        sampler,
+        site.placement(surface.report.scale_mm),
+        tuple(site.to_site(points) for points in surface.caps_m),
+    )
+
+
+def _require_covered(surface: Surface, density: Image) -> None:
+    """Raise for an image without density at the surface: another bone, another frame or another unit."""
+    origin = np.array(density.origin_mm)
+    last = np.array(density.values.shape) - 1
+    at = (1e3 * surface.vertices_m - origin) / density.spacing_mm
+    inside = ((at > -_TO_EDGE) & (at < last + _TO_EDGE)).all(axis=1)
+    there = density.values[tuple(np.rint(at[inside]).astype(np.int64).clip(0, last).T)] > 0
+    covered = float(there.sum() / len(at))
+    if covered < _LEAST_COVERED:
+        raise InputError(
+            f"density_file must hold the density of the bone up to its surface, got none at {1 - covered:.0%} of the "
+            f"surface of {surface.report.source} in {density.source}: give both in one frame (LPS, mm)"
+        )
+    if not np.isfinite(density.values).all() or density.values.min() < 0 or density.values.max() > 20_000:
+        raise InputError(
+            f"density_file must hold apparent densities from 0 to 20000 kg/m3, got {density.values.min():g} to "
+            f"{density.values.max():g} in {density.source}: convert Hounsfield units by `tissue import`"
+        )
+
+
+def _require_within(surface: Surface, core: Surface) -> None:
+    """Raise for a core that lies elsewhere: another bone, frame or unit."""
+    points = core.vertices_m[:: max(len(core.vertices_m) // 2000, 1)]
+    away = triangle_distance(surface.vertices_m, surface.faces, points)
+    touching = float((away <= _FARTHEST_OUT_M).mean())
+    if touching < _LEAST_TOUCHING:
+        raise InputError(
+            f"core_file must lie within anatomy.file, got {1.0 - touching:.0%} of {core.report.source} outside "
+            f"{surface.report.source}: give both in one frame and unit"
+        )

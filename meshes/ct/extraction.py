@@ -1,0 +1,296 @@
+"""Bones and structures out of a CT: their smooth surfaces and the density of bone, by a label or by a threshold."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from meshes.base.arrays import Array, Flags, Floats, Ints, Singles
+from meshes.base.errors import InputError, counted
+from meshes.base.simplices import enclosed_volume
+from meshes.images.frame import Image
+from meshes.images.part import box_of, part_of
+from meshes.images.threshold_surface import image_cuts, image_triangles
+
+__all__ = ["BoneOfImage", "Box", "by_label", "by_threshold", "cropped", "filled", "kept_label", "largest_component"]
+
+Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Lowest and highest corner [mm, LPS]."""
+MARGIN = 3
+"""Voxels kept around a bone: its soft tissue, and what interpolation needs."""
+KEPT_MARGIN = 4
+"""Voxels around a piece of a structure in which it is smoothed: five standard deviations."""
+SMOOTH_VOXELS = 0.8
+"""Standard deviation of the smoothing of a label [voxel]: less leaves its steps, more takes thin parts away. Of a bone
+it is in its coarsest voxels, of a structure to keep clear of in those along each axis."""
+NOISE_VOXELS = 0.5
+"""Standard deviation of the smoothing of grey values before a surface is laid through them [voxel]."""
+CLOSED_MM = 1.5
+"""Gaps up to twice as wide in a cortex are closed: trabecular openings, vessels and partial volume."""
+SUB = 4
+"""Points along each edge of a voxel at which the bone fraction is sampled."""
+LEAST_SHARE = 0.5
+"""Bone fraction from which a voxel's own value counts; others take that of the nearest such voxel."""
+BEYOND_VOXELS = 3
+"""Voxels outside the surface into which the density continues, so that it can be interpolated up to the surface."""
+_LISTED = 6
+
+
+@dataclass(frozen=True, eq=False)
+class BoneOfImage:
+    """A bone in the frame of its CT.
+
+    Attributes
+    ----------
+    image
+        The part of the CT that holds it.
+    field, level
+        Bone is where the field, of the image's shape, is above the level.
+    triangles
+        Vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
+    cuts
+        Points [m] of each face at which the edge of the image cuts it off.
+    notes
+        Sentences for users.
+    label_mm3
+        Volume of the voxels of the label, or of the filled piece above the threshold [mm3].
+    """
+
+    image: Image
+    field: Singles
+    level: float
+    triangles: tuple[Array, Ints]
+    cuts: tuple[Array, ...]
+    notes: tuple[str, ...]
+    label_mm3: float
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume within the triangles [mm3]."""
+        return enclosed_volume(*self.triangles)
+
+    def density(self, law: Callable[[Floats], Singles]) -> Image:
+        """Compute the apparent density [kg/m3] of the bone and of some voxels around it, 0 elsewhere.
+
+        A voxel that the surface crosses holds bone and soft tissue, and its grey value is their weighted mean. The
+        value of bone follows from it where at least half is bone, and from the nearest such voxel elsewhere.
+        """
+        from scipy.ndimage import binary_dilation, distance_transform_edt
+
+        share = self._share()
+        inside = share > 0.0
+        around = binary_dilation(inside, iterations=2) & ~inside
+        values = self.image.values.astype(np.float32)
+        soft = np.float32(np.median(values[around])) if around.any() else np.float32(0.0)
+        known = share >= LEAST_SHARE
+        values[known] = soft + (values[known] - soft) / share[known]
+        found = np.zeros(values.shape, dtype=np.float32)
+        found[known] = law(values[known])
+        away, nearest = distance_transform_edt(~known, return_indices=True)
+        near = ~known & (away <= BEYOND_VOXELS)
+        found[near] = found[tuple(axis[near] for axis in nearest)]
+        whole = np.rint(found).astype(np.uint16)
+        return replace(self.image, values=whole, notes=())
+
+    def _share(self) -> Singles:
+        """Compute the bone fraction of each voxel, the field interpolated where the surface crosses."""
+        from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
+
+        above = self.field > self.level
+        share = above.astype(np.float32)
+        crossed = maximum_filter(above, 3) & ~minimum_filter(above, 3)
+        at = np.argwhere(crossed)
+        steps = (np.arange(SUB) + 0.5) / SUB - 0.5
+        total = np.zeros(len(at), dtype=np.float32)
+        for shift in product(steps, repeat=3):
+            points = (at + np.array(shift)).T
+            total += map_coordinates(self.field, points, order=1, mode="nearest") > self.level
+        share[crossed] = total / SUB**3
+        return share
+
+
+def cropped(image: Image, box_mm: Box) -> Image:
+    """Crop an image to the voxels whose centres lie in a box [mm, LPS].
+
+    Raises
+    ------
+    InputError
+        If fewer than two remain along an axis.
+    """
+    spacing = np.array(image.spacing_mm)
+    origin = np.array(image.origin_mm)
+    first = np.ceil((np.array(box_mm[0]) - origin) / spacing - 1e-6).astype(int).clip(0)
+    last = np.floor((np.array(box_mm[1]) - origin) / spacing + 1e-6).astype(int) + 1
+    last = np.minimum(last, image.values.shape)
+    if (last - first < 2).any():
+        low = origin - 0.5 * spacing
+        high = low + spacing * image.values.shape
+        raise InputError(
+            f"crop must leave two voxels or more along each axis, got {box_mm[0]} to {box_mm[1]} mm where "
+            f"{image.source} reaches from {np.round(low, 1).tolist()} to {np.round(high, 1).tolist()} mm (LPS): choose "
+            "corners inside"
+        )
+    return part_of(image, tuple(map(slice, first.tolist(), last.tolist())))
+
+
+def by_label(image: Image, mask: Flags) -> BoneOfImage:
+    """Take the bone out of an image that a label marks; `mask` has the image's shape.
+
+    The steps of the label are smoothed away. The level of the surface leaves as many voxels above it as the label has;
+    the volume within the triangles differs from the label's by under 1 % where voxels are small against the bone.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    mask, other = largest_component(mask, image.source)
+    part, mask = _around(image, mask)
+    width_mm = SMOOTH_VOXELS * max(image.spacing_mm)
+    sigmas = [width_mm / size for size in image.spacing_mm]
+    field = gaussian_filter(mask.astype(np.float32), sigmas, mode="nearest")
+    count = int(mask.sum())
+    level = float(np.partition(field, field.size - count, axis=None)[field.size - count])
+    return _laid(part, field, level, other, count)
+
+
+def by_threshold(image: Image, threshold: float) -> BoneOfImage:
+    """Take the largest piece above a grey value out of an image, its marrow filled."""
+    from scipy.ndimage import binary_dilation, gaussian_filter
+
+    above = image.values > threshold
+    piece, other = largest_component(above, image.source)
+    part, piece = _around(image, piece)
+    whole = filled(piece, part)
+    field = gaussian_filter(part.values.astype(np.float32), NOISE_VOXELS, mode="nearest")
+    # Inside, marrow below the threshold is bone; outside, what touches no voxel of the piece is not this bone.
+    step = max(0.1 * abs(threshold), 1.0)
+    field[whole & (field <= threshold) & ~(binary_dilation(~whole) & ~piece)] = threshold + step
+    apart = ~binary_dilation(whole)
+    field[apart] = np.minimum(field[apart], threshold - step)
+    return _laid(part, field, threshold, other, int(whole.sum()))
+
+
+def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) -> BoneOfImage:
+    """Build the bone where a field is above a level; `other` is the relative size of the next piece."""
+    imaged = replace(part, values=field)
+    cuts = image_cuts(imaged, threshold=level)
+    notes = []
+    if other >= 0.1:
+        notes.append(
+            f"The next piece has {other:.0%} of the size of the one that was taken: crop to the bone that is meant."
+        )
+    if cuts:
+        notes.append(f"The bone is cut off at {counted(len(cuts), 'place')} by the edge of the image or of the crop.")
+    marked_mm3 = voxels * float(np.prod(part.spacing_mm))
+    return BoneOfImage(part, field, level, image_triangles(imaged, threshold=level), cuts, tuple(notes), marked_mm3)
+
+
+def _around(image: Image, mask: Flags) -> tuple[Image, Flags]:
+    """Return the part of an image around a mask, and the mask there."""
+    box = box_of(mask, MARGIN)
+    return part_of(image, box), np.ascontiguousarray(mask[box])
+
+
+def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
+    """Return the largest piece of a mask, and the size of the next piece relative to it.
+
+    Raises
+    ------
+    InputError
+        If the mask is empty.
+    """
+    from scipy.ndimage import label
+
+    pieces, count = label(mask)
+    if count == 0:
+        raise InputError(f"threshold must leave bone, got none in {source}: use a lower one, or another crop")
+    sizes = np.bincount(pieces.ravel())[1:]
+    largest = int(np.argmax(sizes))
+    others = np.delete(sizes, largest)
+    return pieces == largest + 1, float(others.max() / sizes[largest]) if len(others) else 0.0
+
+
+def filled(mask: Flags, image: Image) -> Flags:
+    """Fill marrow and pores of a mask: close gaps of the cortex, then fill what is enclosed in any plane.
+
+    A bone that the edge of the image cuts off encloses its marrow only in planes of some direction.
+    """
+    from scipy.ndimage import binary_fill_holes, distance_transform_edt
+
+    margin = [int(np.ceil(CLOSED_MM / size)) + 1 for size in image.spacing_mm]
+    padded = np.pad(mask, [(m, m) for m in margin])
+    grown = distance_transform_edt(~padded, sampling=image.spacing_mm) <= CLOSED_MM
+    for axis in range(3):
+        for k in range(padded.shape[axis]):
+            plane = tuple(slice(None) if a != axis else k for a in range(3))
+            if grown[plane].any():
+                grown[plane] = binary_fill_holes(grown[plane])
+    closed = distance_transform_edt(grown, sampling=image.spacing_mm) > CLOSED_MM
+    inner = tuple(slice(m, -m) for m in margin)
+    kept: Flags = (closed | padded)[inner]
+    return kept
+
+
+def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints], tuple[str, ...]]:
+    """Return vertices [mm, LPS], shape (n, 3), and triangles around a label that a tool must keep clear of, and notes.
+
+    Every piece is smoothed by itself and keeps its own volume. Where a piece is so thin that smoothing would remove
+    it, its voxels are kept as they are.
+
+    Parameters
+    ----------
+    image
+        Grid of the mask; its values do not matter.
+    mask
+        Voxels of the label, shape of the image.
+    name
+        Name of the label.
+
+    Raises
+    ------
+    InputError
+        If the mask is empty.
+    """
+    from scipy.ndimage import find_objects, label
+
+    if not mask.any():
+        raise InputError(
+            f"keep_clear must be a label within the image and its crop, got {name}, which is not: widen the crop, or "
+            "leave it out"
+        )
+    box = box_of(mask, KEPT_MARGIN)
+    part = part_of(replace(image, values=mask.view(np.uint8)), box)
+    mask = mask[box]
+    pieces, count = label(mask, np.ones((3, 3, 3)))
+    field = np.full(mask.shape, -1.0, dtype=np.float32)
+    for number, around in enumerate(find_objects(pieces), start=1):
+        near = tuple(
+            slice(max(each.start - KEPT_MARGIN, 0), min(each.stop + KEPT_MARGIN, n))
+            for each, n in zip(around, mask.shape, strict=True)
+        )
+        np.maximum(field[near], _smoothed(pieces[near] == number), out=field[near])
+    smooth = replace(part, values=field)
+    notes = []
+    if count > 1:
+        voxel_ml = 1e-3 * float(np.prod(image.spacing_mm))
+        sizes = voxel_ml * np.sort(np.bincount(pieces.ravel())[1:])[::-1]
+        listed = ", ".join(f"{size:.3g}" for size in sizes[:_LISTED])
+        more = "" if count <= _LISTED else f" and {counted(count - _LISTED, 'smaller one')}"
+        notes.append(f"{name}: {count} pieces of {listed} ml{more}, all of them kept clear of")
+    cuts = len(image_cuts(smooth, threshold=0.0))
+    if cuts:
+        places = counted(cuts, "place")
+        notes.append(f"{name}: it ends at {places} at the edge of the image or of the crop, beyond which it is unknown")
+    return image_triangles(smooth, threshold=0.0), tuple(notes)
+
+
+def _smoothed(piece: Flags) -> Singles:
+    """Return a smooth field that is above 0 in as many voxels as a piece has, and near every voxel of it."""
+    from scipy.ndimage import binary_dilation, gaussian_filter
+
+    field = gaussian_filter(piece.astype(np.float32), SMOOTH_VOXELS, mode="nearest")
+    outside = field.size - int(np.count_nonzero(piece))
+    below, above = np.partition(field, (outside - 1, outside), axis=None)[[outside - 1, outside]] if outside else (0, 1)
+    field -= np.float32(0.5 * (below + above))
+    lost = piece & ~binary_dilation(field > 0.0, np.ones((3, 3, 3)))
+    field[lost] = 0.5
+    return field

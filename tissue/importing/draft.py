@@ -1,0 +1,155 @@
+"""What an import writes: files that other programs read, the text of a scene, and a record of what was found."""
+
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from meshes.base.progress import Progress
+from meshes.base.whole_file import whole_file
+from meshes.ct.bone_inside import LAW
+from meshes.ct.labels import Labels
+from meshes.images.frame import Image
+from meshes.surfaces.surface import Surface
+from tissue.scene.scene import Scene
+from tissue.system.owned_folder import listed_files, owned_folder
+
+__all__ = [
+    "RECORD",
+    "SCENE",
+    "Draft",
+    "Writer",
+    "scene_name",
+    "scene_tables",
+    "toml",
+    "write_density",
+    "write_labels",
+    "write_surface",
+]
+
+SCENE = "scene.toml"
+RECORD = "import.json"
+Writer = Callable[[Path], str | None]
+"""Write a file; return a sentence if it could not be drawn."""
+ARRAY = re.compile(r"(?<== )\[[^\"]*?\n\]")
+"""An array that is written over several lines."""
+
+
+@dataclass(frozen=True)
+class Draft:
+    """Content of the folder of an import.
+
+    Attributes
+    ----------
+    scene
+        TOML of the scene.
+    record
+        Measurements and assumptions as plain numbers.
+    files
+        Writers of the other files by name, pictures last.
+    sentences
+        Description for users.
+    has_site
+        Whether the scene can be run as it is.
+    """
+
+    scene: str
+    record: Mapping[str, Any]
+    files: Mapping[str, Writer]
+    sentences: list[str]
+    has_site: bool = True
+
+    def write(self, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> list[str]:
+        """Write the folder and return the sentences with those on pictures that could not be drawn.
+
+        Files of another import in the folder are removed first. All other files in the folder stay.
+
+        Raises
+        ------
+        InputError
+            If a file is there and may not be replaced, or the folder cannot be written.
+        """
+        import tissue
+
+        wanted = [name for name in self.files if pictures or not name.endswith(".png")]
+        names = (SCENE, RECORD, *wanted)
+        record = {"tissue": tissue.__version__, **self.record, "sentences": self.sentences, "files": names}
+        sentences = list(self.sentences)
+        with owned_folder(out, "import", {*names, *listed_files(out).get("import", ())}, overwrite=overwrite):
+            _write_text(out / RECORD, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+            _write_text(out / SCENE, self.scene)
+            for name in wanted:
+                progress("drawing" if name.endswith(".png") else "writing files", 0.0)
+                problem = self.files[name](out / name)
+                if problem is not None:
+                    sentences.append(f"{name} was not drawn: {problem}")
+        return sentences
+
+
+def _write_text(path: Path, text: str) -> None:
+    with whole_file(path) as temporary:
+        temporary.write_text(text, "utf-8")
+
+
+def write_surface(surface: Surface, path: Path) -> None:
+    """Write a surface as binary PLY in mm, in its own frame."""
+    import pyvista
+
+    mesh = pyvista.PolyData.from_regular_faces(1e3 * surface.vertices_m, surface.faces.astype(int))
+    with whole_file(path) as temporary:
+        mesh.save(temporary, binary=True)
+
+
+def write_density(density: Image, path: Path, *, law: str) -> None:
+    """Write densities as NRRD, whole kg/m3, in LPS; `law` states their origin and their uncertainty."""
+    _write_image(density, path, {"content": "apparent density kg/m3", LAW: law})
+
+
+def write_labels(labels: Labels, path: Path) -> None:
+    """Write labels with their names as 3D Slicer reads them (`.seg.nrrd`)."""
+    size = labels.image.values.shape
+    extent = f"0 {size[0] - 1} 0 {size[1] - 1} 0 {size[2] - 1}"
+    about = {"Segmentation_MasterRepresentation": "Binary labelmap", "Segmentation_ContainedRepresentationNames": ""}
+    for index, (number, name) in enumerate(sorted(labels.names.items())):
+        keys = {"ID": name, "Name": name, "LabelValue": str(number), "Layer": "0", "Extent": extent}
+        about |= {f"Segment{index}_{key}": value for key, value in keys.items()}
+    _write_image(labels.image, path, about)
+
+
+def _write_image(image: Image, path: Path, about: Mapping[str, str]) -> None:
+    """Write an image by ITK, compressed."""
+    import SimpleITK
+
+    stored = SimpleITK.GetImageFromArray(np.ascontiguousarray(image.values.T))
+    stored.SetSpacing(image.spacing_mm)
+    stored.SetOrigin(image.origin_mm)
+    for key, value in about.items():
+        stored.SetMetaData(key, value)
+    with whole_file(path) as temporary:
+        SimpleITK.WriteImage(stored, str(temporary), True)
+
+
+def scene_name(folder: Path) -> str:
+    """Return the name of a scene in a folder."""
+    plain = re.sub(r"[^a-z0-9_-]+", "-", folder.resolve().name.lower()).strip("-_")
+    return plain or "imported"
+
+
+def scene_tables(scene: Scene, keys: Iterable[str]) -> dict[str, Any]:
+    """Return those of the given keys and tables that a scene states itself, without defaults."""
+    stated = scene.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+    return {key: stated[key] for key in keys if key in stated}
+
+
+def toml(table: Mapping[str, object]) -> str:
+    """Return TOML of a scene's table, each of its arrays of numbers on a line."""
+    import tomli_w
+
+    def on_a_line(array: re.Match[str]) -> str:
+        return re.sub(r",? \]", "]", " ".join(array[0].split()).replace("[ ", "["))
+
+    return ARRAY.sub(on_a_line, tomli_w.dumps(dict(table)))
