@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, Field, FiniteFloat, StringConstraints, ValidationError
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
@@ -201,7 +201,7 @@ class _Entry(BaseModel, strict=True, extra="forbid"):
 
     value: FiniteFloat
     range: Annotated[list[Annotated[FiniteFloat, Field(ge=0.0)]], Field(min_length=2, max_length=2)]
-    source: Annotated[str, Field(pattern=r"\S")]
+    source: Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
     confidence: Literal["H", "M", "L"]
 
 
