@@ -11,11 +11,13 @@ HEAVY = {"large_rotation", "wall_map", "horizon", "trained_elsewhere", "cut_cell
 SPOILT = {
     "wall_map": ("delay", "exact_N_m", "first_order_N_m"),
     "quantisation": ("friction", "bound_N_m", "critical_N_m"),
+    "explicit_cutting": ("step", "implicit", "explicit"),
     "thin_walls": ("proxy", "end_m", None),
     "locking": ("bar", "quadratic_m", "linear_coarse_m"),
     "large_rotation": ("turn", "corotational_pa", "linear_pa"),
     "bad_tetrahedra": ("sliver", "repaired_condition", "condition"),
     "cut_cells": ("fill", "scaled", "bare_scaled"),
+    "contrast": ("contrast", "multigrid_8", "plain"),
     "trained_elsewhere": ("wall", "guarded", "bare"),
     "horizon": ("horizon", "koopman", "kalman"),
     "lost_samples": ("duplicated", "guarded_at_end", "bare_at_end"),

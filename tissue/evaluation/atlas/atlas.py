@@ -14,7 +14,9 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.evaluation.atlas import (
     bad_tetrahedra,
+    contrast,
     cut_cells,
+    explicit_cutting,
     horizon,
     large_rotation,
     locking,
@@ -34,8 +36,9 @@ __all__ = ["PAGES", "chosen_pages", "write_atlas"]
 
 INDEX = "index.html"
 PAGES: tuple[Page, ...] = (
-    wall_map.PAGE, quantisation.PAGE, thin_walls.PAGE, locking.PAGE, large_rotation.PAGE, bad_tetrahedra.PAGE,
-    cut_cells.PAGE, trained_elsewhere.PAGE, horizon.PAGE, lost_samples.PAGE, wild_input.PAGE,
+    wall_map.PAGE, quantisation.PAGE, explicit_cutting.PAGE, thin_walls.PAGE, locking.PAGE, large_rotation.PAGE,
+    bad_tetrahedra.PAGE, cut_cells.PAGE, contrast.PAGE, trained_elsewhere.PAGE, horizon.PAGE, lost_samples.PAGE,
+    wild_input.PAGE,
 )  # fmt: skip
 """Pages in the order of the atlas."""
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from io import BytesIO
+from math import sqrt
 from typing import Literal
 
 import matplotlib
@@ -18,7 +19,7 @@ from meshes.base.errors import InputError
 
 __all__ = [
     "BLUE", "GREEN", "GREY", "ORANGE", "PINK", "RED", "TINTS", "Answer", "Conduct", "Curve", "Data", "Page",
-    "Table", "Verdict", "error_of", "log_slope", "panel", "picture", "refused", "shown", "sweep",
+    "Table", "Verdict", "boundary", "error_of", "log_slope", "panel", "picture", "refused", "shown", "sweep",
 ]  # fmt: skip
 
 Table = dict[str, Array]
@@ -124,6 +125,17 @@ def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]])
     """Run a function at every value and return the values with a column for each number of the results."""
     rows = [run(value) for value in values.tolist()]
     return {name: values} | {column: np.array([row[column] for row in rows], dtype=float) for column in rows[0]}
+
+
+def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: int) -> float:
+    """Find the value between two positive ones above which runs fail, by bisection of the logarithm."""
+    for _ in range(steps):
+        middle = sqrt(low * high)
+        if fails(middle):
+            high = middle
+        else:
+            low = middle
+    return sqrt(low * high)
 
 
 def log_slope(x: Array, y: Array) -> float:

@@ -1,6 +1,5 @@
 """Thin walls and fast tools: a fast tool crosses a penalty wall, but not one that a proxy renders."""
 
-from collections.abc import Callable
 from itertools import product
 from math import sqrt
 
@@ -17,6 +16,7 @@ from tissue.evaluation.atlas.page import (
     Data,
     Page,
     Verdict,
+    boundary,
     panel,
     refused,
     shown,
@@ -75,17 +75,6 @@ def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
     return height
 
 
-def lowest_failure(fails: Callable[[float], bool], low: float, high: float, *, steps: int) -> float:
-    """Find the value above which runs fail, by bisection of the logarithm."""
-    for _ in range(steps):
-        middle = sqrt(low * high)
-        if fails(middle):
-            high = middle
-        else:
-            low = middle
-    return sqrt(low * high)
-
-
 def measure(quick: bool) -> Data:
     """Find the crossing speed of the penalty wall over thickness, and throw devices at walls with a proxy."""
     thickness = np.geomspace(1e-4, 2e-2, 3 if quick else 8)
@@ -93,7 +82,7 @@ def measure(quick: bool) -> Data:
 
     def penalty(thick: float) -> dict[str, float]:
         """Return the crossing speed: measured, by energy, and by sampling alone."""
-        crossed = lowest_failure(lambda speed: end_m(speed, thick, None) < 0.0, 1e-3, 20.0, steps=9 if quick else 11)
+        crossed = boundary(lambda speed: end_m(speed, thick, None) < 0.0, 1e-3, 20.0, steps=9 if quick else 11)
         return {
             "crossed_from_m_s": crossed,
             "theory_m_s": 0.5 * thick * sqrt(STIFFNESS_N_M / MASS_KG),
