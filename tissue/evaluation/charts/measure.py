@@ -13,7 +13,7 @@ from meshes.shapes.polyline import arc_length, points_along
 from tissue.evaluation.charts.keys import machine, scene_text, setting_key, sources
 from tissue.evaluation.charts.reference import force_and_reference_N, of_model
 from tissue.evaluation.charts.settings import Changes, Setting, edge_mm, placed, settings_of
-from tissue.evaluation.reference.error import means_over_50_ms
+from tissue.evaluation.reference.history import means_over_50_ms
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.load import changed
 from tissue.scene.organ import SoftAnatomy
