@@ -29,10 +29,9 @@ from tissue.evaluation.atlas.page import (
 from tissue.evaluation.training.evaluation import forecast
 from tissue.evaluation.training.fitting import fit
 from tissue.evaluation.training.recording import Recording
-from tissue.prediction.edmd.dictionary import Delays
+from tissue.prediction.edmd.dictionary import Delays, GapProducts
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode, window
-from tissue.prediction.edmd.gap_products import GapProducts
 from tissue.prediction.edmd.predictor_file import read_predictor
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Hold, Predictor
