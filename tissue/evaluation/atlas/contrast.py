@@ -53,7 +53,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
     goal = TOLERANCE**2 * float(exact @ (inner @ exact))
     count = 0
 
-    def watch(iterate: Array) -> None:
+    def stop_at_goal(iterate: Array) -> None:
         """Stop at the goal, which every fifth iterate is compared with."""
         nonlocal count
         count += 1
@@ -63,7 +63,7 @@ def plain_iterations(body: ParticleBody, *, scaled: bool) -> float:
 
     scale = diags_array(1.0 / inner.diagonal()) if scaled else None
     try:
-        cg(inner, pushed(body).ravel()[free], rtol=0.0, maxiter=MOST, M=scale, callback=watch)
+        cg(inner, pushed(body).ravel()[free], rtol=0.0, maxiter=MOST, M=scale, callback=stop_at_goal)
     except _Near:
         return float(count)
     return float(MOST)

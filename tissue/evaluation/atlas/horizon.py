@@ -41,7 +41,7 @@ def measure(quick: bool) -> Data:
     table = {"ahead_ms": 1e3 * TICK_S * np.array(horizons, dtype=float)}
     for name, each in predictors().items():
         forces, _ = forecast(each, recording, horizons)
-        table[name] = np.array([relative_error(forces[:, row], force, ahead) for row, ahead in enumerate(horizons)])
+        table[name] = np.array([relative_error(forces[:, row], force, steps) for row, steps in enumerate(horizons)])
     # For short horizons the error of a held force is the rate of the force times the horizon. The rate is taken over
     # 4 ms: over 1 ms it is mostly encoder steps.
     rate = (force[104:] - force[100:-4]) / 4.0
@@ -106,15 +106,15 @@ def ask() -> list[Answer]:
 def draw(data: Data, chart: Figure) -> None:
     """Draw the error over the horizon."""
     table = data["horizon"]
-    ahead = table["ahead_ms"]
+    horizon_ms = table["ahead_ms"]
     curves = [
         (label, 100.0 * table[name], PREDICTORS[name].marker, PREDICTORS[name].colour) for name, label in LABELS.items()
     ]
-    panel(chart.subplots(), ahead, ("horizon / ms", "force error / %"), [
+    panel(chart.subplots(), horizon_ms, ("horizon / ms", "force error / %"), [
         *curves,
         ("theory of hold: rate × horizon", 100.0 * table["theory_hold"], "-", GREY),
         ("error of no force at all", 100.0, ":", GREEN),
-    ], conduct=[(Conduct.HOLDS, ahead[0], LEADS_MS)], ylim=(0.5, 400.0), legend="upper left")  # fmt: skip
+    ], conduct=[(Conduct.HOLDS, horizon_ms[0], LEADS_MS)], ylim=(0.5, 400.0), legend="upper left")  # fmt: skip
 
 
 PAGE = Page(
