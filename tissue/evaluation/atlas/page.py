@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import Enum
 from io import BytesIO
 from math import sqrt
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import matplotlib
 import numpy as np
@@ -16,6 +16,9 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.typing import RcKeyType
 
 __all__ = [
     "BLUE", "GREEN", "GREY", "ORANGE", "PINK", "RED", "TINTS", "Answer", "Conduct", "Curve", "Data", "Page",
@@ -157,7 +160,7 @@ GREY = "0.35"
 # The colours are those of Okabe and Ito (2008), distinct for colour-blind readers.
 TINTS = {Conduct.HOLDS: "#D6ECF8", Conduct.FALLS_BACK: "#FBEBC2", Conduct.REFUSES: "#F3CFBC"}
 """Background of a region by the behaviour of the engine."""
-LOOKS = {
+LOOKS: "dict[RcKeyType, float]" = {
     "font.size": 11.0,
     "axes.titlesize": 11.5,
     "axes.linewidth": 0.8,
