@@ -274,7 +274,8 @@ def draw_tasks(found: "Sequence[PredictorComparison]", path: Path) -> None:
     _plain_numbers(axes.yaxis)
     axes.grid(axis="y", which="both", alpha=0.3)
     axes.set_axisbelow(True)
-    chart.legend(loc="upper center", ncols=7 if len(found) > 3 else 4, frameon=False, columnspacing=1.0)
+    columns = 7 if len(found) > 3 else 5
+    chart.legend(loc="upper center", ncols=columns, frameon=False, fontsize=8.5, columnspacing=1.0, handletextpad=0.4)
     save(chart, path)
 
 
