@@ -11,12 +11,10 @@ from time import perf_counter
 import numpy as np
 from harness import cost_of, machine, table
 
-from tissue.prediction.edmd.dictionary import Delays, Identity
+from tissue.prediction.edmd.dictionary import Delays, Gaussians, Identity, Polynomials
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
 from tissue.prediction.edmd.online import Online
-from tissue.prediction.edmd.polynomials import Polynomials
-from tissue.prediction.edmd.radial import Gaussians
 
 STATES, INPUTS, ROWS, STEP_S = 6, 3, 1000, 1e-3
 

@@ -24,8 +24,7 @@ from meshes.voxels.layer_changes import BOUNDARY_STEPS, FAR
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
-from tissue.evaluation.reference.error import error_of_force
-from tissue.evaluation.reference.history import ReferenceForce
+from tissue.evaluation.reference.history import ReferenceForce, error_of_force
 
 RADIUS_M, FEED_M_S = 1.5e-3, 4e-3
 CUTTER = Cutter(ball_burr(diameter_m=2.0 * RADIUS_M), 6, 1000.0)

@@ -14,8 +14,7 @@ import numpy as np
 from harness import machine, table
 
 import tissue
-from tissue.evaluation.reference.error import error_of_force
-from tissue.evaluation.reference.history import reference_force
+from tissue.evaluation.reference.history import error_of_force, reference_force
 from tissue.scene.load import parse_override
 
 

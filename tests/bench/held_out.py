@@ -19,9 +19,9 @@ from cost_model import CostModel
 from harness import machine, table
 
 from meshes.base.errors import InputError
-from tissue.evaluation.charts import fidelity, places
-from tissue.evaluation.charts.frontier import Frontier, frontier_of, short_of, undominated
-from tissue.evaluation.charts.measure import SETTLED, Measured, counts
+from tissue.evaluation.charts import fidelity, settings
+from tissue.evaluation.charts.frontier import Frontier, frontier_of, undominated
+from tissue.evaluation.charts.measure import SETTLED, Measured, counts, short_of
 from tissue.evaluation.charts.reference import force_and_reference_N
 from tissue.evaluation.charts.settings import Setting, settings_of
 from tissue.evaluation.statistics.metrics import force_error
@@ -62,7 +62,7 @@ def moved(scene: Scene, seed: int) -> Scene:
     assert isinstance(motion, PathMotion)
     feed, depth = rng.uniform(0.8, 1.25), rng.uniform(0.9, 1.1)
     most = ASIDE_MM.get(scene.name, 0.5 * scene.voxels.spacing_mm)
-    aside = places.moved(scene, *rng.uniform(-most, most, 2), depth=depth)
+    aside = settings.moved(scene, *rng.uniform(-most, most, 2), depth=depth)
     paced = {
         "motion.feed_mm_s": round(feed * motion.feed_mm_s, 4),
         "duration_s": round((scene.duration_s or 1.0) / feed, 3),
@@ -162,10 +162,8 @@ def timed(short: Scene, setting: Setting) -> Measured:
     counted = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[SETTLED:]
     elements, met, step = counts(run, counted)
     tick = float(np.median(run.timing["tick_us"][counted]))
-    nan = float("nan")
-    return Measured(
-        "", short.name, setting.name, setting.family, "", nan, nan, tick, nan, 0, nan, nan, elements, step, met, nan, ""
-    )
+    return Measured(scene=short.name, setting=setting.name, family=setting.family, force_error=float("nan"),
+                    median_us=tick, elements=elements, step_mm=step, met=met, machine="")  # fmt: skip
 
 
 def cost(name: str) -> list[float]:

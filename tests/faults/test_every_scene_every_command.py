@@ -1,16 +1,17 @@
 """Every built-in scene works with every command, in the quickest form of each."""
 
 import json
+from contextlib import nullcontext
 
 import pytest
 
-from tissue.evaluation.charts import measure
+from tissue.evaluation.charts import frontier, measure, scenes, settings
 from tissue.scene.load import load_scene, scene_names
 
 SHORT_S = "0.06"
 """Length of the runs [s]: beyond the start of every part of a run."""
-EXCERPT_S = {"glenoid": 0.6, "pedicle": 0.6}
-"""Time beyond the first contact on the coarsest grid that is charted [s]; on finer grids slow feeds touch later."""
+CHARTED = {"milling": 0.2, "molar": 0.1, "needle": 0.2, "palpation": 0.1, "wall": 0.2}
+"""A scene of each kind of model, and the time after its first contact on the coarsest grid [s]."""
 pytestmark = [pytest.mark.slow]
 
 
@@ -46,9 +47,22 @@ def test_a_scene_works_with_the_commands_of_runs(command, tmp_path, scene):
     assert (tmp_path / "view.png").stat().st_size > 1000
 
 
-@pytest.mark.parametrize("scene", scene_names())
+def coarsest_and_finest(scene, *, quick):
+    """Return the two ends of a scene's settings."""
+    every = settings.settings_of(scene, quick=quick)
+    return [every[0], *every[1:][-1:]]
+
+
+@pytest.mark.parametrize("scene", CHARTED)
 def test_a_scene_can_be_charted(command, tmp_path, scene, monkeypatch):
-    monkeypatch.setattr(measure, "EXCERPT_S", {True: EXCERPT_S.get(scene, 0.2)})
+    """At two settings, at one place, on coarser voxels, without other processes: `test_charts.py` has these."""
+    monkeypatch.setattr(measure, "EXCERPT_S", {True: CHARTED[scene]})
+    monkeypatch.setattr(settings, "PLACES", settings.PLACES[:1])
+    monkeypatch.setitem(settings.VOXEL_SHARES, True, (2.0, 1.4, 1.0))
+    for module in (frontier, measure, scenes):
+        monkeypatch.setattr(module, "settings_of", coarsest_and_finest)
+    monkeypatch.setattr("tissue.system.workers.worker_pool", lambda workers: nullcontext(None))
     out = finished(command, "chart", scene, "--quick", "--out", tmp_path / "charts")
     assert scene in out
-    assert (tmp_path / "charts" / f"{scene}.csv").read_text("utf-8").count("\n") >= 2
+    rows = (tmp_path / "charts" / f"{scene}.csv").read_text("utf-8").splitlines()
+    assert len(rows) >= 2 and rows[1].split(",")[1] == scene

@@ -22,7 +22,7 @@ FOLDERS = {
     "import": (("import", "ct.nrrd"), "scene.toml import.json"),
     "fit": (("fit", "wall", "--measured", "log.csv"), "fitted.toml report.html loads.csv"),
     "stability": (("stability", "wall"), "stability.png"),
-    "atlas": (("stability", "--only", "smoothness"), "index.html smoothness.png smoothness_x.csv"),
+    "atlas": (("stability", "--only", "wild_input"), "index.html wild_input.png wild_input_jump.csv"),
     "chart": (("chart", "wall", "--quick"), "wall.csv wall.png frontier.png machine.txt"),
     "prediction": (("chart", "prediction", "wall"), "errors.csv prediction_wall.png prediction_tasks.png"),
     "perception": (("chart", "perception"), "perception-people.png"),

@@ -5,13 +5,10 @@ import pytest
 from koopman_systems import contact, record
 
 from tissue import InputError
-from tissue.prediction.edmd.dictionary import Delays
-from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd.dictionary import Delays, GapProducts, Polynomials
+from tissue.prediction.edmd.edmd import Edmd, horizon_errors
 from tissue.prediction.edmd.episodes import Episode
-from tissue.prediction.edmd.gap_products import GapProducts
-from tissue.prediction.edmd.polynomials import Polynomials
-from tissue.prediction.edmd.spectrum import cap_spectrum, spectral_radius
-from tissue.prediction.edmd.validation import horizon_errors
+from tissue.prediction.edmd.lifted import cap_spectrum, spectral_radius
 
 STEP_S = 1e-3
 SENSORS = (1e-5, 5e-3)

@@ -5,10 +5,9 @@ import warnings
 import numpy as np
 import pytest
 
-from tissue.prediction.edmd.dictionary import Delays, Identity
+from tissue.prediction.edmd.dictionary import Delays, Identity, Polynomials
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.episodes import Episode
-from tissue.prediction.edmd.polynomials import Polynomials
 
 pytestmark = pytest.mark.slow  # pykoop takes seconds to import; test_koopman_exact holds the same operators
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from meshes.base.errors import InputError
 from tissue.api.run import Run, open_run
 from tissue.evaluation import assessment as engine
-from tissue.evaluation.assessment_files import write_assessment
+from tissue.evaluation.assessment import write_assessment
 from tissue.scene.scene import Scene
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.trace import Table

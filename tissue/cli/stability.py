@@ -22,7 +22,7 @@ def stability(
     """Report the stability of a scene's device and operator; without a scene, show where every method fails.
 
     With a scene: whether its coupling is stable, and a map of stiffness against damping and delay. Without one: the
-    atlas, one page for every method, taken to where it fails and past it, in two minutes or so.
+    atlas, one page for every method, taken past its region of failure, in two minutes or so.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def stability(
         Folder that takes picture and data of a scene's map, which is otherwise only printed; or the atlas, default
         atlas.
     only
-        Page of the atlas to make, such as pade, and no other; may be repeated.
+        Page of the atlas to make, such as wall_map, and no other; may be repeated.
     overwrite
         Replace the map or the atlas that the folder already holds.
     """
@@ -73,9 +73,8 @@ def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
     with progress() as report:
         report("loading methods", 0.0)
         from tissue.evaluation.atlas.atlas import chosen_pages, write_atlas
-        from tissue.evaluation.atlas.pages import PAGES
 
-        entries = write_atlas(folder, chosen_pages(PAGES, only), overwrite=overwrite, progress=report)
+        entries = write_atlas(folder, chosen_pages(only), overwrite=overwrite, progress=report)
     for entry in entries:
         mark = "ok " if entry.shown else "OPEN"
         console.print(f"{mark:4} {entry.page.name:19} {entry.took_s:5.1f} s  {entry.page.title}")

@@ -1,7 +1,8 @@
-"""Assess a trainee's run against a reference run of the same scene, `tissue assess`."""
+"""Assessment of a trainee's run against a reference run of the same scene, in words and as files."""
 
+import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Protocol, TypedDict
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
+from meshes.base.whole_file import whole_file
 from tissue.evaluation.same_task import path_note, require_same_task, scene_notes
 from tissue.evaluation.statistics.metrics import (
     acceleration_change_m_s2,
@@ -18,24 +20,34 @@ from tissue.evaluation.statistics.metrics import (
     overshoot_mm,
     spectral_arc_length,
 )
+from tissue.figures.figure import figure, save
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.simulation.depth_map import tool_axes
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.trace import Table
+from tissue.system.owned_folder import owned_folder, require_folder
 
-__all__ = ["AssessedRun", "Assessment", "Breach", "Quantity", "assess", "assessment_lines"]
+__all__ = [
+    "AssessedRun", "Assessment", "Breach", "Quantity", "assess", "assessment_lines", "require_assessment_folder",
+    "write_assessment",
+]  # fmt: skip
 
 GAP_S = 0.15
 """Breaches closer than a period of slow tremor are one."""
 MOST_BREACHES = 8
-"""More are counted, and listed in the file alone."""
+"""Breaches that are printed. All are in the file."""
+FILES = ("assessment.json", "assessment.png")
+TRAINEE = "#0072B2"
+REFERENCE = "0.45"
+LIMIT = "#D55E00"
+SHADE = "#E69F00"
 FORCE_MARGIN = 1.25
 """A trainee may press this many times the reference's peak force where no limit is given: a convention, not a norm."""
 
 
 class AssessedRun(Protocol):
-    """What is asked of a run, saved or not; `path` is None of one that is not."""
+    """Run, saved or not. `path` is None without a folder."""
 
     @property
     def path(self) -> Path | None: ...
@@ -66,7 +78,7 @@ class Figures(TypedDict):
 
 @dataclass(frozen=True)
 class Breach:
-    """A span of time in which a limit was passed."""
+    """Span of time above a limit."""
 
     what: str
     start_s: float
@@ -78,7 +90,7 @@ class Breach:
 
     @property
     def sentence(self) -> str:
-        """Where it was, and how far."""
+        """Time and size of the breach in words."""
         return (
             f"{self.what} above {self.limit:.3g} {self.unit} from {self.start_s:.3f} to {self.end_s:.3f} s, "
             f"at worst {self.worst:.3g} {self.unit} at {self.worst_at_s:.3f} s"
@@ -87,18 +99,18 @@ class Breach:
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is assessed over the trainee's ticks.
+    """Assessed quantity over the ticks of the trainee.
 
     Attributes
     ----------
     what, unit
-        Its name and unit.
+        Name and unit.
     values
-        Of the trainee, shape (ticks,).
+        Values of the trainee, shape (ticks,).
     limit
-        What it should not pass.
+        Limit of the values.
     reference
-        Of the reference at the aligned place, shape (ticks,), if it has one.
+        Values of the reference at the aligned place, shape (ticks,).
     """
 
     what: str
@@ -108,7 +120,7 @@ class Quantity:
     reference: Array | None = None
 
     def breaches(self, time_s: Array) -> list[Breach]:
-        """Spans above the limit, those a short gap apart joined."""
+        """Return the spans above the limit. Spans a short gap apart are joined."""
         above = np.flatnonzero(self.values > self.limit)
         found = []
         for span in np.split(above, np.flatnonzero(np.diff(time_s[above]) > GAP_S) + 1) if len(above) else []:
@@ -120,7 +132,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Assessment:
-    """A trainee's run beside the reference.
+    """Comparison of a trainee's run with the reference.
 
     Attributes
     ----------
@@ -157,7 +169,7 @@ def assess(
     deviation_limit_mm: float = 1.0,
     overshoot_limit_mm: float = 0.5,
 ) -> Assessment:
-    """Hold one run against another of the same scene.
+    """Compare a run with a reference run of the same scene.
 
     The two are aligned by place, not by time: dynamic time warping (Sakoe and Chiba 1978) of the tool's paths finds for
     each tick of the trainee the moment of the reference that it corresponds to, so that a pause is no error.
@@ -182,15 +194,21 @@ def assess(
     if scenes[0] != scenes[1]:
         raise InputError(f"run and reference must be of one scene, got {scenes[0]} and {scenes[1]}: run the same scene")
     require_same_task(trainee.scene, reference.scene)
-    mine, theirs = _trace(trainee, "run"), _trace(reference, "reference")
-    path, model = mine.vectors("tool", "mm"), theirs.vectors("tool", "mm")
+    mine = _trace(trainee, "run")
+    theirs = _trace(reference, "reference")
+    path = mine.vectors("tool", "mm")
+    model = theirs.vectors("tool", "mm")
     rows = aligned_rows(path, model)
     apart = deviation_mm(path, model, rows)
-    force, ideal = mine.vectors("model_force", "N"), theirs.vectors("model_force", "N")
-    size, ideal_size = np.linalg.norm(force, axis=1), np.linalg.norm(ideal, axis=1)
+    force = mine.vectors("model_force", "N")
+    ideal = theirs.vectors("model_force", "N")
+    size = np.linalg.norm(force, axis=1)
+    ideal_size = np.linalg.norm(ideal, axis=1)
     axis, start = _approach(theirs)
-    depth, plan = (start - path) @ axis, (start - model) @ axis
-    time, deepest = mine["time_s"], float(plan.max())
+    depth = (start - path) @ axis
+    plan = (start - model) @ axis
+    time = mine["time_s"]
+    deepest = float(plan.max())
     limit = FORCE_MARGIN * float(ideal_size.max()) if force_limit_N is None else force_limit_N
     require_positive("force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N")
     require_positive("deviation_limit_mm", deviation_limit_mm, "use 1")
@@ -220,10 +238,13 @@ def assess(
 
 
 def assessment_lines(found: Assessment) -> list[str]:
-    """What a person reads."""
+    """Return the assessment in words."""
     figures = found.figures
-    apart, time, peak = figures["deviation_mm"], figures["time_in_contact_s"], figures["peak_force_N"]
-    rough, arc = figures["acceleration_change_m_s2"], figures["spectral_arc_length"]
+    apart = figures["deviation_mm"]
+    time = figures["time_in_contact_s"]
+    peak = figures["peak_force_N"]
+    rough = figures["acceleration_change_m_s2"]
+    arc = figures["spectral_arc_length"]
     more = len(found.breaches) - MOST_BREACHES
     return [
         f"path: {apart['mean']:.2f} mm off on average, {apart['worst']:.2f} at {apart['worst_at_s']:.3f} s",
@@ -242,6 +263,77 @@ def assessment_lines(found: Assessment) -> list[str]:
     ]
 
 
+def require_assessment_folder(folder: Path, *, overwrite: bool) -> None:
+    """Check that a folder can take an assessment.
+
+    Raises
+    ------
+    InputError
+        If the folder is a file, or holds another assessment.
+    """
+    require_folder(folder, "assessment", FILES, overwrite=overwrite)
+
+
+def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
+    """Write ``assessment.json`` and ``assessment.png``.
+
+    Raises
+    ------
+    InputError
+        If the folder is a file, or holds another assessment.
+    """
+    data = {
+        **found.figures,
+        "limits": {
+            "force_N": found.force.limit, "deviation_mm": found.deviation.limit, "depth_mm": found.depth.limit
+        },
+        "breaches": [asdict(each) for each in found.breaches],
+        "notes": list(found.notes),
+        "events": [{"time_s": at, "what": what} for at, what in found.events],
+    }  # fmt: skip
+    with owned_folder(folder, "assessment", FILES, overwrite=overwrite):
+        with whole_file(folder / FILES[0]) as temporary:
+            temporary.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
+        _draw(found, folder / FILES[1])
+    return [folder / name for name in FILES]
+
+
+def _draw(found: Assessment, path: Path) -> None:
+    """Draw the quantities of trainee and reference over time, and the limits with their breaches."""
+    chart = figure(9.0, 7.2)
+    panels = chart.subplots(3, 1, sharex=True)
+    chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
+    time = found.time_s
+    least = 0.002 * float(time[-1] - time[0])  # a breach of a tick or two must still be seen
+    labels = ("distance from\nthe path / mm", "force / N", "depth / mm")
+    for axes, label, each in zip(panels, labels, (found.deviation, found.force, found.depth), strict=True):
+        for breach in (breach for breach in found.breaches if breach.what == each.what):
+            end = max(breach.end_s, breach.start_s + least)
+            axes.axvspan(breach.start_s, end, color=SHADE, alpha=0.35, lw=0)
+        if each.reference is not None:
+            axes.plot(time, each.reference, color=REFERENCE, linewidth=1.4, label="reference at that place")
+        axes.plot(time, each.values, color=TRAINEE, label="trainee")
+        axes.axhline(each.limit, color=LIMIT, linestyle="--", linewidth=1.4, label="limit")
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.3)
+        high = max(each.limit, float(each.values.max()))
+        low = max(min(0.0, float(each.values.min())), -high)  # the approach would leave no space for the depth
+        axes.set_ylim(low, high + 0.08 * (high - low))
+    panels[2].set(xlabel="time / s", xlim=(float(time[0]), float(time[-1])))
+    chart.legend(*panels[1].get_legend_handles_labels(), loc="upper right", bbox_to_anchor=(0.985, 0.945), ncols=3,
+                 frameon=False)  # fmt: skip
+    count = len(found.breaches)
+    figures = found.figures
+    summary = "no limit passed" if not count else f"{count} breach{'es' if count > 1 else ''}, shaded"
+    title = f"{figures['scene']}: a trainee against the reference, {summary}"
+    chart.text(0.09, 0.955, title, size=11, va="center")
+    mean = figures["deviation_mm"]["mean"]
+    percent = 100.0 * figures["force_error"]
+    below = f"{mean:.2f} mm off the path on average, force {percent:.0f} % off"
+    chart.text(0.09, 0.92, below, size=9, color="0.25", va="center")
+    save(chart, path)
+
+
 def _unfinished(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
     """Return sentences on runs that end before their paths do."""
     runs = {"trainee": trainee, "reference": reference}
@@ -249,7 +341,7 @@ def _unfinished(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
 
 
 def _trace(run: AssessedRun, name: str) -> Table:
-    """The trace of a saved run, long enough to compare."""
+    """Return the trace of a run, long enough to compare."""
     if run.trace is None or len(run.trace.rows) < 10:
         got = run.path or "a run"
         raise InputError(f"{name} must hold a trace of ten ticks or more, got {got} without: run the scene again")
@@ -257,7 +349,7 @@ def _trace(run: AssessedRun, name: str) -> Table:
 
 
 def _both(of: Callable[[Table], float], mine: Table, theirs: Table) -> dict[str, float]:
-    """A figure of both runs."""
+    """Return a figure of both runs."""
     return {"trainee": of(mine), "reference": of(theirs)}
 
 
@@ -270,13 +362,13 @@ def _arc_length(trace: Table) -> float:
 
 
 def _contact_s(trace: Table) -> float:
-    """Time from the first contact to the last [s], zero without any."""
+    """Return the time from the first contact to the last [s], zero without contact."""
     rows = np.flatnonzero(trace["contact_mm2"] > 0.0)
     return float(trace["time_s"][rows[-1]] - trace["time_s"][rows[0]]) if len(rows) else 0.0
 
 
 def _approach(trace: Table) -> tuple[Array, Array]:
-    """Direction out of the tissue along the tool's axis in contact, and where the first contact was [mm]."""
+    """Return the mean axis of the tool in contact, out of the tissue, and the place of the first contact [mm]."""
     rows = np.flatnonzero(trace["contact_mm2"] > 0.0)
     if not len(rows):
         raise InputError("reference must touch the tissue, got a run without contact: choose another reference")

@@ -82,7 +82,8 @@ def _same_file(key: str, one: object, other: object) -> bool:
     names_file = is_file_key(key.rpartition(".")[2]) or key.startswith("keep_clear.files.")
     if not names_file or not isinstance(one, str) or not isinstance(other, str):
         return False
-    first, second = Path(one), Path(other)
+    first = Path(one)
+    second = Path(other)
     if first.name != second.name:
         return False
     return not (first.is_file() and second.is_file()) or filecmp.cmp(first, second, shallow=False)

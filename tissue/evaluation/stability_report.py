@@ -1,4 +1,4 @@
-"""The stability of a scene's loop before it runs: `tissue stability`."""
+"""Stability map of a scene's loop, in words and as files: `tissue stability`."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ LINES = {
 
 
 def scene_stability(scene: Scene) -> StabilityMap:
-    """Closed-loop stability of a scene's device and operator as a map, about the coupling it would run with.
+    """Map the closed-loop stability of a scene's device and operator about its coupling.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def scene_stability(scene: Scene) -> StabilityMap:
 
 
 def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
-    """What a person reads: the verdict, and the boundary over some delays, measured and exact [N/m]."""
+    """Return the verdict in words, and the boundary over some delays, measured and exact [N/m]."""
     chosen = found.chosen
     data = found.over_delay
     return [
@@ -109,9 +109,11 @@ def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
 
 
 def _draw(panel: Axes, data: StabilityChart, found: StabilityMap) -> None:
-    """One chart."""
+    """Draw one chart."""
     label, scale = LABELS[data.along]
-    across, low, high = scale * data.values, data.stiffnesses_N_m[0], data.stiffnesses_N_m[-1]
+    across = scale * data.values
+    low = data.stiffnesses_N_m[0]
+    high = data.stiffnesses_N_m[-1]
     grows = np.where(data.growth >= 1.0, 1.0, np.nan)
     panel.pcolormesh(across, data.stiffnesses_N_m, grows, cmap="Greys", vmin=0.0, vmax=4.0, shading="nearest")
     panel.plot(across, data.exact_N_m, color="0.1", linewidth=2.0, label="eigenvalues, exact delay")

@@ -29,7 +29,8 @@ class Linear:
     def __init__(self, window: int = WINDOW) -> None:
         if window < 1:
             raise InputError(f"window must be at least 1 tick, got {window}: use {WINDOW}")
-        self._window, self._clock = window, 0
+        self._window = window
+        self._clock = 0
         self._seen: deque[tuple[int, Array]] = deque([(0, np.zeros(3))])
         self._slope = np.zeros(3)
 
@@ -85,7 +86,8 @@ class Kalman:
         self._jerkiness = require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}")
         self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         self._state = np.zeros((3, 3))
-        self._since, self._force = 0, np.zeros(3)
+        self._since = 0
+        self._force = np.zeros(3)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Go a tick on and correct by the force; the device is not looked at."""
@@ -95,7 +97,8 @@ class Kalman:
             missed = force_N - state[0]
             self.residual_N = sqrt(missed.dot(missed))
             state += kalman_gains(self._since, self._jerkiness)[:, None] * missed
-            self._since, self._force = 0, force_N.copy()
+            self._since = 0
+            self._force = force_N.copy()
 
     def predict(self, ticks: float) -> Array:
         """Along the parabola; 0 ahead of a force that was just observed, that force."""
@@ -127,11 +130,14 @@ class LinearControl:
             raise InputError(
                 f"operator must take a force by position and velocity, got {operator.B.shape}: train it again"
             )
-        self._A, self._B, self._offset = operator.A, operator.B, operator.offset
+        self._A = operator.A
+        self._B = operator.B
+        self._offset = operator.offset
         self._step = operator.step_s
         self._known = np.zeros(9)
         self._maps: list[AffineMap] = [(np.eye(3, 9), np.zeros(3))]
-        self._lead, self._at_lead = 0.0, self._maps[0]
+        self._lead = 0.0
+        self._at_lead = self._maps[0]
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Take in the device and the force, or go a tick on by what was known."""
@@ -141,7 +147,8 @@ class LinearControl:
             missed = force_N - expected
             self.residual_N = sqrt(missed.dot(missed))
         known[:3] = expected if force_N is None else force_N
-        known[3:6], known[6:] = position_m, velocity_m_s
+        known[3:6] = position_m
+        known[6:] = velocity_m_s
 
     def predict(self, ticks: float) -> Array:
         """Powers of the operator, the device going on; on a straight line between two of them."""

@@ -64,14 +64,18 @@ class Guarded:
     is_primary = True
 
     def __init__(self, inner: Judged, instead: Predictor, *, reach_N: float) -> None:
-        self.inner, self.instead = inner, instead
+        self.inner = inner
+        self.instead = instead
         self._shown = [each for each in (inner, instead) if isinstance(each, SeesContact)]
         self._reach = require_positive("reach_N", reach_N, "use the device's greatest force")
-        self._share, self._good = 1.0, PROBATION
+        self._share = 1.0
+        self._good = PROBATION
         self._difference: Triple = (0.0, 0.0, 0.0)
         self._kept: deque[tuple[Triple, Triple, Triple]] = deque()
-        self._lead, self._asked = 0.0, False
-        self._seen, self._age = (0.0, 0.0, 0.0), 0
+        self._lead = 0.0
+        self._asked = False
+        self._seen = (0.0, 0.0, 0.0)
+        self._age = 0
         self._missed = [0.0, 0.0]
         self._over_held = 0.0
 
@@ -106,13 +110,17 @@ class Guarded:
         # Three numbers are quicker one by one than as arrays.
         u, v, w = self.inner.predict(ticks).tolist()
         x, y, z = self.instead.predict(ticks).tolist()
-        u, v, w = u - x, v - y, w - z
+        u = u - x
+        v = v - y
+        w = w - z
         size = u * u + v * v + w * w
         if not isfinite(size):
             u, v, w = self._difference
         elif size > self._reach**2:
             share = self._reach / sqrt(size)
-            u, v, w = u * share, v * share, w * share
+            u = u * share
+            v = v * share
+            w = w * share
         self._difference = u, v, w
         if not self._asked and ticks:
             self._keep(ticks, (x + u, y + v, z + w), (x, y, z))
@@ -128,20 +136,24 @@ class Guarded:
             # The force lay between the last two that were seen when what was predicted was due.
             back = (len(self._kept) - self._lead) / self._age
             bx, by, bz = self._seen
-            fx, fy, fz = fx + back * (bx - fx), fy + back * (by - fy), fz + back * (bz - fz)
+            fx = fx + back * (bx - fx)
+            fy = fy + back * (by - fy)
+            fz = fz + back * (bz - fz)
             primary, other, held = [(fx - x) ** 2 + (fy - y) ** 2 + (fz - z) ** 2 for x, y, z in kept]
             self._over_held = min(self._over_held + (1.0 - LONG_MEMORY) * (primary - held), MOST_DEBT * LEAST_N**2)
             # A touch that is foreseen is not held against who foresees it.
             if any(kept[1]) and any(now):
                 self._missed[0] += (1.0 - MEMORY) * primary
                 self._missed[1] += (1.0 - MEMORY) * other
-        self._seen, self._age = now, 0
+        self._seen = now
+        self._age = 0
 
     def _keep(self, ticks: float, primary: Triple, safe: Triple) -> None:
         """Keep what both predicted until that force is there."""
         self._asked = True
         if ticks != self._lead:
-            self._lead, self._kept = ticks, deque(maxlen=ceil(ticks))
+            self._lead = ticks
+            self._kept = deque(maxlen=ceil(ticks))
         self._kept.append((primary, safe, self._seen))
 
     def pause(self) -> None:

@@ -41,7 +41,9 @@ class Koopman:
         self._spring = 0.0
         self._position, self._force, self._normal, self._push, self._surface, self._begun = np.zeros((6, 3))
         self._answered, self._answer = np.zeros((2, 3))
-        self._share, self._known, self._free = 1.0, False, 0
+        self._share = 1.0
+        self._known = False
+        self._free = 0
 
     @property
     def trusted(self) -> bool:
@@ -71,13 +73,15 @@ class Koopman:
         missed = force_N - self._spring * self.path.stretch_m(1.0)
         self.residual_N = sqrt(float(missed @ missed))
         touched = any(self._answer.tolist())
-        self._force, self._answer = force_N.copy(), force_N.copy()
+        self._force = force_N.copy()
+        self._answer = force_N.copy()
         touches = any(self._force.tolist())
         if touches:
             self._push = REMEMBERED * self._push + self._force
             self._normal = self._push / sqrt(float(self._push @ self._push))
         if touches and not touched:
-            self._begun, self._surface = position_m.copy(), position_m.copy()
+            self._begun = position_m.copy()
+            self._surface = position_m.copy()
         elif touched and not touches:
             # Contact ended at the start of a tick's motion; tissue that lets go deeper than it was met has been cut.
             self._surface = self._position.copy()
@@ -87,7 +91,8 @@ class Koopman:
             if depth > LEAST_DEPTH_M:
                 self._share = min(float(self._normal @ self._force) / (self._spring * depth), 1.0)
         self._free = 0 if touches else self._free + 1
-        self._position, self._answered = position_m.copy(), position_m.copy()
+        self._position = position_m.copy()
+        self._answered = position_m.copy()
         self.path.observe(position_m, self._force / self._spring)
 
     def predict(self, ticks: float) -> Array:

@@ -48,7 +48,8 @@ class Outside:
     is_primary = True
 
     def __init__(self, inner: Observes, name: str) -> None:
-        self.inner, self._name = inner, name
+        self.inner = inner
+        self._name = name
         self._pause: Callable[[], object] | None = getattr(inner, "pause", None)
         if callable(meet := getattr(inner, "meet", None)):
             self.meet = meet
@@ -98,7 +99,9 @@ class GuardedMaker:
     """
 
     def __init__(self, name: str, make: Callable[..., Any], *, trained: bool = False) -> None:
-        self.name, self.make, self.trained = name, make, trained
+        self.name = name
+        self.make = make
+        self.trained = trained
 
     def __call__(self, trained: Trained | None, force_limit_N: float) -> Predictor:
         """A new one, for a device of so great a force [N]."""

@@ -103,12 +103,14 @@ class OperatorPath:
                 f"operator must have {STATE} states, no inputs and no offset, got {operator.state_size} and "
                 f"{operator.B.shape[1]}: train it again"
             )
-        self._operator, self._growth = operator, growth
+        self._operator = operator
+        self._growth = growth
         self._window = np.zeros((len(operator.offset), 3))
         self._inverse = 1.0 / (operator.scale[:, None] * np.sqrt(len(operator.offset)))
         self._powers: list[Array] = []
         self._maps: dict[float, Array] = {}
-        self._position, self._ticks = np.zeros(3), 0
+        self._position = np.zeros(3)
+        self._ticks = 0
 
     @property
     def trusted(self) -> bool:
@@ -122,10 +124,12 @@ class OperatorPath:
         """Put a state before the window; the first one fills it, as if the device had been still."""
         window = self._window
         if self._ticks == 0:
-            window[0::STATE], window[1::STATE] = 0.0, stretch_m
+            window[0::STATE] = 0.0
+            window[1::STATE] = stretch_m
         else:
             window[STATE:] = window[:-STATE]
-            window[0], window[1] = position_m - self._position, stretch_m
+            window[0] = position_m - self._position
+            window[1] = stretch_m
         self._position = position_m.copy()
         self._ticks += 1
 

@@ -50,7 +50,8 @@ class Trained:
         """Whether holding the force missed less on the runs that validated a predictor, a loop's usual lead ahead."""
         if "validation" not in self.facts:
             return False
-        errors, horizons = self.facts["validation"]["errors"], self.facts["validation"]["horizons_ms"]
+        errors = self.facts["validation"]["errors"]
+        horizons = self.facts["validation"]["horizons_ms"]
         at = horizons.index(VALIDATED_AT)
         return bool(errors[kind][at] > errors["hold"][at])
 
@@ -77,7 +78,9 @@ class Trained:
         """
         stored = read_predictor(path, scene=scene)
         try:
-            lifted, control, header = stored.operators["lifted"], stored.operators["control"], stored.header
+            lifted = stored.operators["lifted"]
+            control = stored.operators["control"]
+            header = stored.header
             return cls(stored.scene, lifted, control, float(header["growth"]), header["fallback"], header["facts"])
         except (KeyError, TypeError) as problem:
             raise InputError(

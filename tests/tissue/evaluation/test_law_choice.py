@@ -3,7 +3,7 @@
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.evaluation.charts.law_choice import linear_error, with_law
+from tissue.evaluation.charts.law import linear_error, with_law
 from tissue.scene.coupling import Fidelity
 from tissue.scene.load import changed, load_scene
 

@@ -18,11 +18,9 @@ from tissue.cutters.profile import (
     pear_bur,
     twist_drill,
 )
-from tissue.evaluation.reference.convex_part import convex_parts
-from tissue.evaluation.reference.force import Resolution, wrench_at
+from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
 from tissue.evaluation.reference.history import force_on_path
-from tissue.evaluation.reference.path import ToolPath
-from tissue.evaluation.reference.solid import Solid
+from tissue.evaluation.reference.path import ToolPath, convex_parts
 from tissue.materials.constants import cutting_coefficients
 
 R, FEED, DEPTH = 1.5e-3, 4e-3, 0.4e-3

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.prediction.contact_slope import ContactSlope
+from tissue.prediction.look_ahead import ContactSlope
 
 NOISE, DRIFT, UNKNOWN = 1e-6, 50.0, 1.0
 """As documented: noise [m], variance for each metre, variance of a slope of which nothing is known."""

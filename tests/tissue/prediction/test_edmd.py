@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 from koopman_systems import duffing, record
 
-from tissue.prediction.edmd.dictionary import Delays, Identity
-from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd.dictionary import Delays, GapProducts, Gaussians, Identity, Polynomials, ThinPlates
+from tissue.prediction.edmd.edmd import Edmd, horizon_errors, regress, triangle
 from tissue.prediction.edmd.episodes import Episode, window
-from tissue.prediction.edmd.gap_products import GapProducts
-from tissue.prediction.edmd.polynomials import Polynomials
 from tissue.prediction.edmd.predictor_file import from_plain, to_plain
-from tissue.prediction.edmd.radial import Gaussians, ThinPlates
-from tissue.prediction.edmd.regression import regress, triangle
-from tissue.prediction.edmd.validation import choose, horizon_errors
 
 CENTRES = ((0.1, -0.2), (0.5, 0.4), (-0.7, 0.0))
 DICTIONARIES = {
@@ -206,39 +201,6 @@ def test_the_training_box_holds_the_training_states():
     operator, states = Edmd(Identity()).fit(episodes), np.concatenate([each.states for each in episodes])
     assert np.array_equal(operator.lowest, states.min(axis=0))
     assert np.array_equal(operator.highest, states.max(axis=0))
-
-
-@pytest.mark.slow
-def test_cross_validation_finds_the_dictionary_that_the_data_come_from():
-    rng = np.random.default_rng(9)
-    episodes = []
-    for _ in range(10):
-        states = [rng.uniform(-1.0, 1.0, 2)]
-        for _ in range(60):
-            first, second = states[-1]
-            states.append(np.array([0.95 * first, 0.8 * second + 0.5 * first**2]) + 1e-3 * rng.normal(size=2))
-        episodes.append(Episode(np.array(states), None, 1e-3))
-    candidates = {
-        "linear": Edmd(Identity()),
-        "closed": Edmd(Polynomials(2, columns=(0,))),
-        "wide": Edmd(Gaussians.from_states(np.vstack([e.states for e in episodes]), 60, rng), ridge=1e-12),
-        "collinear": Edmd(Polynomials(2, columns=(0, 0))),
-    }
-    found = choose(candidates, episodes, horizon=10)
-    assert found.name == "closed"
-    assert found.scores["closed"].mean() < 0.5 * found.scores["linear"].mean()
-    assert "must be independent" in found.refused["collinear"] and np.isinf(found.scores["collinear"]).all()
-    assert found.operator.dictionary == candidates["closed"].dictionary
-    assert found.operator.statistics.episodes == 10
-
-
-def test_folds_are_unseen():
-    """Noise has nothing to learn: its held-out error is the error of knowing nothing, whatever the dictionary."""
-    rng = np.random.default_rng(10)
-    episodes = [Episode(rng.normal(size=(40, 2)), None, 1e-3) for _ in range(6)]
-    states = np.vstack([each.states for each in episodes])
-    found = choose({"wide": Edmd(Gaussians.from_states(states, 100, rng), ridge=1e-12)}, episodes, horizon=1, folds=3)
-    assert found.scores["wide"].mean() > 1.0
 
 
 def test_one_step_with_inputs_is_the_matrices_written_out():

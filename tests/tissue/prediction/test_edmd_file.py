@@ -7,12 +7,10 @@ import pytest
 from koopman_systems import duffing, record
 
 from tissue import InputError
-from tissue.prediction.edmd.dictionary import Delays
+from tissue.prediction.edmd.dictionary import Delays, GapProducts, Gaussians
 from tissue.prediction.edmd.edmd import Edmd
-from tissue.prediction.edmd.gap_products import GapProducts
 from tissue.prediction.edmd.lifted import LiftedMap
 from tissue.prediction.edmd.predictor_file import read_predictor, write_predictor
-from tissue.prediction.edmd.radial import Gaussians
 
 RNG = np.random.default_rng(0)
 EPISODES = record(duffing, RNG.uniform(-1.0, 1.0, (4, 2)), RNG.normal(size=(4, 80)), 0.02)

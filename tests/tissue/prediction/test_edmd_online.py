@@ -5,10 +5,9 @@ import pytest
 from koopman_systems import duffing, record
 
 from tissue import InputError
-from tissue.prediction.edmd.dictionary import Identity
+from tissue.prediction.edmd.dictionary import Identity, Polynomials
 from tissue.prediction.edmd.edmd import Edmd
 from tissue.prediction.edmd.online import Online
-from tissue.prediction.edmd.polynomials import Polynomials
 
 
 def swings(rng, count=8, field=duffing):

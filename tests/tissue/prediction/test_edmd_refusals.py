@@ -5,13 +5,10 @@ import pytest
 from koopman_systems import duffing, record
 
 from tissue import InputError
-from tissue.prediction.edmd.dictionary import Delays, Identity
-from tissue.prediction.edmd.edmd import Edmd
+from tissue.prediction.edmd.dictionary import Delays, Gaussians, Identity, Polynomials
+from tissue.prediction.edmd.edmd import Edmd, horizon_errors
 from tissue.prediction.edmd.episodes import Episode
-from tissue.prediction.edmd.polynomials import Polynomials
 from tissue.prediction.edmd.predictor_file import from_plain
-from tissue.prediction.edmd.radial import Gaussians
-from tissue.prediction.edmd.validation import horizon_errors
 
 CENTRES = ((0.1, -0.2), (0.5, 0.4), (-0.7, 0.0))
 

@@ -1,1 +1,1 @@
-"""The stability atlas: every method taken to where it fails and past it, a page each."""
+"""Stability atlas: regions where a method fails, one page each."""

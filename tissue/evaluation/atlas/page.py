@@ -1,19 +1,28 @@
-"""What a page of the atlas is: a question, a sweep past where a method fails, a verdict, and the engine's answers."""
+"""Contract of an atlas page: sweep, verdict, answers of the engine, and panels that show them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from io import BytesIO
 from math import sqrt
+from typing import TYPE_CHECKING, Literal
 
+import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
+if TYPE_CHECKING:
+    from matplotlib.typing import RcKeyType
+
 __all__ = [
-    "Answer", "Conduct", "Data", "Page", "Table", "Verdict", "boundary", "error_of", "log_slope", "refused",
-    "shown", "sweep",
+    "BLUE", "GREEN", "GREY", "ORANGE", "PINK", "RED", "TINTS", "Answer", "Conduct", "Curve", "Data", "Page",
+    "Table", "Verdict", "boundary", "error_of", "log_slope", "panel", "picture", "refused", "shown", "sweep",
 ]  # fmt: skip
 
 Table = dict[str, Array]
@@ -23,7 +32,7 @@ Data = dict[str, Table]
 
 
 class Conduct(Enum):
-    """What the engine does where a method fails; the value is the page's wording."""
+    """Behaviour of the engine where a method fails. The value is the wording of the page."""
 
     HOLDS = "holds"
     FALLS_BACK = "falls back"
@@ -33,16 +42,16 @@ class Conduct(Enum):
 
 @dataclass(frozen=True)
 class Answer:
-    """What the engine did when it was asked for something, found by asking it.
+    """Measured behaviour of the engine for one request.
 
     Attributes
     ----------
     asked
-        What it was asked for.
+        Request, in words.
     conduct
-        What it did.
+        Behaviour of the engine.
     result
-        What it reported, or figures of what it did.
+        Report of the engine, or figures of its result.
     """
 
     asked: str
@@ -52,14 +61,14 @@ class Answer:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a sweep showed.
+    """Result of a sweep.
 
     Attributes
     ----------
     fails
-        Whether the method that is called into question failed in the sweep, and where theory predicts it.
+        Whether the questioned method failed in the sweep, where theory predicts it.
     holds
-        Whether the engine's own method held all along it.
+        Whether the method of the engine held in the whole sweep.
     sentence
         Both in words, with the figures of the sweep.
     """
@@ -76,19 +85,19 @@ class Page:
     Attributes
     ----------
     name
-        Short name; files of the page begin with it.
+        Short name. The files of the page begin with it.
     title, question
-        For the reader.
+        Text for the reader.
     source
-        Where the statement in question or the theory comes from.
+        Source of the theory, and parameters of the sweep.
     measure
-        Runs the sweep; with True a coarser one, for tests.
+        Run the sweep. With True the sweep is coarser, for tests.
     judge
-        Verdict, from the data alone.
+        Return the verdict, from the data alone.
     ask
-        Asks the engine itself.
+        Put requests to the engine and return its answers.
     draw
-        Draws the data into an empty figure.
+        Draw the data into an empty figure.
     """
 
     name: str
@@ -102,38 +111,124 @@ class Page:
 
 
 def refused(asked: str, call: Callable[[], object]) -> Answer:
-    """Make a call that should be refused; the answer is silently wrong if it is not."""
+    """Make a call that should be refused. The answer is silently wrong if it is accepted."""
     try:
         call()
     except InputError as error:
         return Answer(asked, Conduct.REFUSES, str(error))
-    return Answer(asked, Conduct.SILENT, "taken without a word")
+    return Answer(asked, Conduct.SILENT, "accepted without a report")
 
 
 def shown(asked: str, right: bool, result: str, *, conduct: Conduct = Conduct.HOLDS) -> Answer:
-    """An answer whose figures were checked by the caller: silently wrong if they are not right."""
+    """Return an answer whose figures the caller has checked. It is silently wrong if they are not right."""
     return Answer(asked, conduct if right else Conduct.SILENT, result)
 
 
 def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]]) -> Table:
-    """Table of a sweep: its values, and a column of each number that a run at every one of them gives."""
+    """Run a function at every value and return the values with a column for each number of the results."""
     rows = [run(value) for value in values.tolist()]
     return {name: values} | {column: np.array([row[column] for row in rows], dtype=float) for column in rows[0]}
 
 
 def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: int) -> float:
-    """Value above which runs fail, by bisection of the logarithm between two positive ones."""
+    """Find the value between two positive ones above which runs fail, by bisection of the logarithm."""
     for _ in range(steps):
         middle = sqrt(low * high)
-        low, high = (low, middle) if fails(middle) else (middle, high)
+        if fails(middle):
+            high = middle
+        else:
+            low = middle
     return sqrt(low * high)
 
 
 def log_slope(x: Array, y: Array) -> float:
-    """Power of x with which y grows."""
+    """Return the power of x with which y grows."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
 def error_of(found: Array, expected: Array) -> float:
-    """Largest error of some figures relative to those expected."""
+    """Return the largest error relative to the expected values."""
     return float(np.abs(found / expected - 1.0).max())
+
+
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+RED = "#D55E00"
+PINK = "#CC79A7"
+GREY = "0.35"
+# The colours are those of Okabe and Ito (2008), distinct for colour-blind readers.
+TINTS = {Conduct.HOLDS: "#D6ECF8", Conduct.FALLS_BACK: "#FBEBC2", Conduct.REFUSES: "#F3CFBC"}
+"""Background of a region by the behaviour of the engine."""
+LOOKS: "dict[RcKeyType, float]" = {
+    "font.size": 11.0,
+    "axes.titlesize": 11.5,
+    "axes.linewidth": 0.8,
+    "legend.fontsize": 9.5,
+    "lines.linewidth": 2.0,
+    "lines.markersize": 6.0,
+}
+Place = Literal["best", "upper left", "lower center", "lower right", "center left", "center right", ""]
+Curve = tuple[str, ArrayLike, str, str]
+"""Label, values over the sweep or one for all of it, format of matplotlib's `plot`, and colour."""
+
+
+def picture(page: Page, data: Data) -> bytes:
+    """Return the figure of a page as PNG, drawn without a window."""
+    with matplotlib.rc_context(LOOKS):
+        chart = Figure(figsize=(10.4, 4.4), dpi=130, layout="constrained")
+        page.draw(data, chart)
+        image = BytesIO()
+        chart.savefig(image, format="png", metadata={"Software": None})
+    return image.getvalue()
+
+
+def panel(
+    axes: Axes,
+    x: Array,
+    labels: tuple[str, str],
+    curves: Sequence[Curve],
+    *,
+    conduct: Sequence[tuple[Conduct, float, float]] | None = None,
+    log: str = "xy",
+    legend: Place = "best",
+    **settings: object,
+) -> None:
+    """Draw curves over a sweep, with axes, grid and legend.
+
+    Parameters
+    ----------
+    axes
+        Axes to draw into. Curves that they already hold are in the legend too.
+    x
+        Values of the sweep, shape (n,).
+    labels
+        Labels of both axes with their units.
+    curves
+        Curves over the sweep.
+    conduct
+        Behaviour of the engine and the range of x; by default it holds in the whole sweep.
+    log
+        Names of the logarithmic axes.
+    legend
+        Place of the legend; none if empty.
+    settings
+        Settings of `Axes.set`. The default limits of x are those of the sweep.
+    """
+    axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
+    for behaviour, low, high in [(Conduct.HOLDS, x[0], x[-1])] if conduct is None else conduct:
+        known = axes.get_legend_handles_labels()[1]
+        label = f"engine {behaviour.value}"
+        tint = TINTS[behaviour]
+        axes.axvspan(low, high, color=tint, zorder=0, linewidth=0.0, label=None if label in known else label)
+    for name, values, style, colour in curves:
+        axes.plot(x, np.broadcast_to(np.asarray(values), x.shape), style, color=colour, label=name)
+    axes.set(xlabel=labels[0], ylabel=labels[1], **({"xlim": (x.min(), x.max())} | settings))
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        # Minor labels of an axis over several decades overlap.
+        if axis.get_scale() == "log" and abs(np.log10(high / low)) > 1.0:
+            axis.set_minor_formatter(NullFormatter())
+    axes.grid(alpha=0.3, which="major")
+    axes.set_axisbelow(False)
+    if legend:
+        axes.legend(loc=legend, framealpha=0.9)

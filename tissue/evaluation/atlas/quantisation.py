@@ -1,12 +1,27 @@
-"""Encoder steps: friction must pay what a quantised wall creates, or the wall keeps buzzing."""
+"""Encoder steps: friction must dissipate the energy that a quantised wall creates, or the device keeps buzzing."""
 
 from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, ORANGE, RED, TINTS, panel
-from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, refused, shown, sweep
+from tissue.evaluation.atlas.page import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    RED,
+    TINTS,
+    Answer,
+    Conduct,
+    Data,
+    Page,
+    Verdict,
+    panel,
+    refused,
+    shown,
+    sweep,
+)
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import HandAction, hand_parameters
@@ -18,29 +33,30 @@ from tissue.simulation.simulate import simulate
 
 __all__ = ["PAGE"]
 
-TICK_S, ENCODER_M = 1e-3, 1e-4
+TICK_S = 1e-3
+ENCODER_M = 1e-4
 DEVICE = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, encoder_step_m=ENCODER_M)
-"""A device whose viscous friction alone allows 2 b / T = 2 kN/m, with coarse encoders."""
+"""Device with coarse encoders whose viscous friction alone allows 2 b / T = 2 kN/m."""
 SECONDS = 1.0
 BUZZ_STEPS = 0.1
-"""Swing that counts as buzzing [encoder steps]: a resting device has none."""
+"""Swing that counts as buzzing [encoder steps]. A resting device has none."""
 PUSHES_N = (0.11, 0.37)
-"""Steady pushes onto the wall [N]: where between two encoder steps it comes to rest differs."""
+"""Steady pushes onto the wall [N]. They bring the device to rest at different places between two encoder steps."""
 
 
 class Push:
-    """Nobody, but a steady push and a knock of 2 N in the first tick."""
+    """Steady push, with a knock of 2 N in the first tick."""
 
     def __init__(self, steady_N: float) -> None:
         self._steady = steady_N
 
     def act(self, time_s: float, position_m: tuple[float, float, float]) -> HandAction:
-        """The push."""
+        """Return the push."""
         return HandAction(push_N=(0.0, 0.0, -self._steady - (2.0 if time_s < 0.5 * TICK_S else 0.0)))
 
 
 def swing_steps(stiffness: float, friction: float) -> float:
-    """Peak to peak of the position in the last third, in encoder steps, of the worst push; the wall also pulls."""
+    """Measure the peak-to-peak position in the last third of the worst push [encoder steps]; the wall also pulls."""
     worst = 0.0
     for steady in PUSHES_N:
         device = SimulatedDevice(replace(DEVICE, friction_N=friction), Push(steady), substeps=3)
@@ -55,7 +71,7 @@ def swing_steps(stiffness: float, friction: float) -> float:
 
 
 def measure(quick: bool) -> Data:
-    """From which stiffness on the device keeps buzzing, over friction; and the swing over stiffness at one friction."""
+    """Sweep friction and stiffness."""
     frictions = np.array([0.003, 0.03]) if quick else np.array([0.003, 0.008, 0.02, 0.04, 0.08])
     ladder = np.geomspace(40.0, 1950.0, 5 if quick else 9)
     swings = np.array([[swing_steps(k, f) for k in ladder.tolist()] for f in frictions.tolist()])
@@ -63,7 +79,7 @@ def measure(quick: bool) -> Data:
     critical = critical_stiffness_N_m(loop)
 
     def buzzing(friction: float) -> dict[str, float]:
-        """Rungs of the ladder from which on it buzzes and up to which it is quiet, with both bounds."""
+        """Return the stiffness from which on the device buzzes, that up to which it is quiet, and both bounds."""
         buzzes = swings[frictions == friction][0] > BUZZ_STEPS
         first = int(np.argmax(buzzes)) if buzzes.any() else len(ladder)
         rungs = [0.0, *ladder.tolist(), critical]
@@ -85,8 +101,9 @@ def measure(quick: bool) -> Data:
 
 
 def judge(data: Data) -> Verdict:
-    """Buzzing below what the eigenvalues allow, and none below the bound that counts encoder and friction."""
-    table, swing = data["friction"], data["swing"]
+    """Check for buzzing below the critical stiffness, and for quiet below the bound of encoder and friction."""
+    table = data["friction"]
+    swing = data["swing"]
     early = float((table["buzzes_from_N_m"] / table["critical_N_m"]).min())
     bound = np.interp(swing["friction_N"], table["friction_N"], table["bound_N_m"])
     inside = swing["stiffness_N_m"] <= bound
@@ -94,22 +111,22 @@ def judge(data: Data) -> Verdict:
     return Verdict(
         early < 0.5,
         worst <= BUZZ_STEPS,
-        f"With little friction the device buzzes from {100 * early:.0f} % of the stiffness on at which its eigenvalues "
-        f"leave the circle ({table['critical_N_m'][0]:.0f} N/m): those know of no encoder steps. In none of "
-        f"{int(inside.sum())} runs within min(2b/T, 2f_c/Δ) is it more than {worst:.2f} steps; the bound is safe and, "
-        f"with some friction, far from tight.",
+        f"With little friction the device buzzes from {100 * early:.0f} % of the critical stiffness of the eigenvalues "
+        f"on ({table['critical_N_m'][0]:.0f} N/m), because these do not include encoder steps. In none of "
+        f"{int(inside.sum())} runs within min(2b/T, 2f_c/Δ) is the swing larger than {worst:.2f} steps. The bound is "
+        "safe and, with some friction, far from tight.",
     )
 
 
 def answers_of(name: str) -> list[Answer]:
-    """What the engine does with a device where friction no longer pays for its encoder, and at its vendor's limit."""
+    """Run a device beyond the stiffness that its friction allows, and at the limit of its vendor."""
     device = device_parameters(name)
     allowed = 2.0 * device.friction_N / device.encoder_step_m
     run, _ = knock(device, hand_parameters("expert"), "proxy", device.stiffness_limit_N_m)
     ripple = run.ripple_N(0.2)
     beyond = {"device": name, "coupling.stiffness_N_m": allowed, "duration_s": 0.3}
     return [
-        refused(f"the scene wall on {name} at {allowed:.0f} N/m, where friction no longer pays for the encoder",
+        refused(f"the scene wall on {name} at {allowed:.0f} N/m, the limit of friction over encoder step",
                 lambda: simulate(load_scene("wall", beyond))),
         shown(f"{name} at its vendor's limit of {device.stiffness_limit_N_m:g} N/m",
               device.stiffness_limit_N_m < allowed and ripple < 0.05,
@@ -118,44 +135,51 @@ def answers_of(name: str) -> list[Answer]:
 
 
 def ask() -> list[Answer]:
-    """The devices of the engine: what friction allows, what is chosen, and how that runs."""
-    return [
-        *(answer for name in ("touch", "omni", "six-dof") for answer in answers_of(name)),
-        refused("a bound for encoders without a step",
-                lambda: quantised_bound_N_m(DEVICE.loop(1.0), friction_N=0.1, encoder_m=0.0)),
-    ]  # fmt: skip
+    """Run the devices of the engine at and beyond their limits."""
+    answers = [answer for name in ("touch", "omni", "six-dof") for answer in answers_of(name)]
+    no_step = refused(
+        "a bound for encoders without a step",
+        lambda: quantised_bound_N_m(DEVICE.loop(1.0), friction_N=0.1, encoder_m=0.0),
+    )
+    return [*answers, no_step]
 
 
 def draw(data: Data, chart: Figure) -> None:
-    """Stiffness over friction; swing over stiffness."""
+    """Draw stiffness over friction, and swing over stiffness."""
     left, right = chart.subplots(1, 2)
-    table, swing = data["friction"], data["swing"]
-    friction, bound, critical, top = table["friction_N"], table["bound_N_m"], table["critical_N_m"], 6e3
+    table = data["friction"]
+    friction = table["friction_N"]
+    bound = table["bound_N_m"]
+    critical = table["critical_N_m"]
+    top = 6e3
     tint = {"zorder": 0, "linewidth": 0.0}
     left.fill_between(friction, 20.0, bound, color=TINTS[Conduct.HOLDS], label="engine holds", **tint)
     left.fill_between(friction, critical, top, color=TINTS[Conduct.REFUSES], label="engine refuses", **tint)
     left.fill_between(friction, bound, critical, facecolor="none", edgecolor="0.75", hatch="//",
-                      label="may buzz: none of the engine's devices", **tint)  # fmt: skip
-    panel(left, friction, "Coulomb friction / N", "stiffness / (N/m)", [
+                      label="may buzz: no device of the engine", **tint)  # fmt: skip
+    panel(left, friction, ("Coulomb friction / N", "stiffness / (N/m)"), [
         ("eigenvalues: no encoder", critical, "-", GREY),
         ("min(2b/T, 2f_c/Δ)", bound, "--", GREEN),
         ("measured: quiet to", table["quiet_to_N_m"], "o", BLUE),
         ("measured: buzzes from", table["buzzes_from_N_m"], "s", RED),
     ], conduct=(), legend="lower right", ylim=(20.0, top))  # fmt: skip
+    swing = data["swing"]
     swings = np.maximum(swing["swing_steps"], 1e-3).reshape(len(friction), -1)
-    drawn = range(0, len(friction), max(len(friction) // 3, 1))
-    panel(right, np.unique(swing["stiffness_N_m"]), "stiffness / (N/m)", "swing that stays / encoder steps", [
-        *((f"friction {1e3 * friction[row]:g} mN: bound {2.0 * friction[row] / ENCODER_M:g} N/m", swings[row], *look)
-          for row, look in zip(drawn, (("s", RED), ("^", ORANGE), ("D", GREEN), ("o", BLUE)), strict=False)),
-        ("counts as buzzing", BUZZ_STEPS, ":", GREY),
-    ], conduct=(), legend="upper left", ylim=(5e-4, 3e3))  # fmt: skip
+    looks = (("s", RED), ("^", ORANGE), ("D", GREEN), ("o", BLUE))
+    curves = [
+        (f"friction {1e3 * friction[row]:g} mN: bound {2.0 * friction[row] / ENCODER_M:g} N/m", swings[row], *look)
+        for row, look in zip(range(0, len(friction), max(len(friction) // 3, 1)), looks, strict=False)
+    ]
+    labels = ("stiffness / (N/m)", "remaining swing / encoder steps")
+    panel(right, np.unique(swing["stiffness_N_m"]), labels, [*curves, ("counts as buzzing", BUZZ_STEPS, ":", GREY)],
+          conduct=(), legend="upper left", ylim=(5e-4, 3e3))  # fmt: skip
 
 
 PAGE = Page(
     "quantisation",
     "Quantisation: encoder steps against friction",
-    "A device with encoder steps of 0.1 mm is knocked onto a stiff wall. Does it come to rest, or does it buzz by some "
-    "steps for ever?",
+    "A device with encoder steps of 0.1 mm is knocked onto a stiff wall. Does it come to rest, or does it keep buzzing "
+    "by some steps?",
     "Abbott and Okamura (2005), in the plane of Diolaiti et al. (2006); 50 g, 1 N s/m, 1 kHz, two steady pushes",
     measure,
     judge,

@@ -1,13 +1,12 @@
-"""The cheapest setting that is good enough: model no more than a scene needs."""
+"""Choice of the cheapest setting that meets a demanded fidelity."""
 
 from collections.abc import Sequence
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.evaluation.charts.error_bounds import BOUND_FAMILIES
 from tissue.evaluation.charts.frontier import frontier_of
-from tissue.evaluation.charts.law_choice import with_law
-from tissue.evaluation.charts.measure import Measured
+from tissue.evaluation.charts.law import with_law
+from tissue.evaluation.charts.measure import BOUNDS, Measured
 from tissue.evaluation.charts.reference import reference_words
 from tissue.evaluation.charts.settings import Setting
 from tissue.scene.coupling import Fidelity
@@ -17,7 +16,7 @@ from tissue.scene.scene import Scene
 __all__ = ["SAFETY", "choose", "with_fidelity"]
 
 SAFETY = 1.5
-"""How far below a demanded error a setting has to stay at the places it was measured at, so that it holds elsewhere.
+"""Ratio of a demanded error to the error that a setting may have at the measured places, so that it holds elsewhere.
 
 Set on seeds 1-10 of an earlier force law. On five motions that set nothing of each of four scenes and of four imaged
 teeth and scapulae every demand is kept; with 1.25 all but one tooth's are, with 1 a demand of 1 % is kept by two
@@ -26,48 +25,42 @@ motions in five on another (tests/bench/held_out.py).
 
 
 def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) -> Measured:
-    """The cheapest of some measurements that meets a demand; no error counts as less than the reference's own, `gap`.
+    """Return the cheapest measurement that meets a demand; without a demanded error, the most accurate one.
 
-    What is no setting, a law that no tick can run or the rounding of numbers, is passed over.
+    An error counts as at least `gap`, the uncertainty of the reference. Rows that are no settings are passed over.
 
     Raises
     ------
     InputError
-        If none does; the sentence names the nearest that can.
+        If no setting meets it; the message names the nearest one.
     """
-
-    points = [point for point in points if point.family not in BOUND_FAMILIES]
+    settings = [point for point in points if point.family not in BOUNDS]
 
     def error_of(point: Measured) -> float:
         return max(SAFETY * point.force_error, gap)
 
-    fits = [
-        point
-        for point in points
-        if (wanted.force_error is None or error_of(point) <= wanted.force_error)
-        and (wanted.tick_ms is None or 1e-3 * point.p99_us <= wanted.tick_ms)
-    ]
-    if fits:
-        cheap = wanted.force_error is not None
-        return min(fits, key=lambda point: point.median_us if cheap else point.force_error)
-
-    def short_of(point: Measured) -> float:
+    def excess(point: Measured) -> float:
+        """Return the largest ratio of a measured to a demanded value."""
         error = 0.0 if wanted.force_error is None else error_of(point) / wanted.force_error
         tick = 0.0 if wanted.tick_ms is None else 1e-3 * point.p99_us / wanted.tick_ms
         return max(error, tick)
 
-    nearest = min(points, key=short_of)
+    fits = [point for point in settings if excess(point) <= 1.0]
+    if fits and wanted.force_error is not None:
+        return min(fits, key=lambda point: point.median_us)
+    if fits:
+        return min(fits, key=lambda point: point.force_error)
+    nearest = min(settings, key=excess)
     raise InputError(
         f"fidelity must be met by a setting of {nearest.scene} on this machine, got {_asked(wanted)}: the nearest is "
-        f"{nearest.setting} with force_error = {error_of(nearest):.2g} and tick_ms = "
-        f"{1e-3 * nearest.p99_us:.2g}"
+        f"{nearest.setting} with force_error = {error_of(nearest):.2g} and tick_ms = {1e-3 * nearest.p99_us:.2g}"
     )
 
 
 def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, str]:
-    """A scene at the cheapest setting that meets its `fidelity`, and what was chosen and why.
+    """Return a scene at the cheapest setting that meets its `fidelity`, and the reason of the choice.
 
-    The settings of the scene are measured first where that was not done on this machine.
+    Settings that were not measured on this machine are measured first.
 
     Raises
     ------
@@ -82,12 +75,12 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
     point = choose(found.points, wanted, gap=found.gap)
     setting = next(each for each in found.settings if each.name == point.setting)
     at, law = with_law(changed(plain, setting.changes), wanted)
+    rank = "the cheapest" if wanted.force_error is not None else "the most accurate"
     sentence = (
         f"{_in_words(at, setting, found.settings)}: force {100.0 * point.force_error:.2g} % over ticks, "
         f"{100.0 * point.error_50_ms:.2g} % over 50 ms, from {reference_words(scene, found.gap)}; "
-        f"tick {point.median_us:.0f} µs, 99 % {point.p99_us:.0f} µs, "
-        + ("the cheapest" if wanted.force_error is not None else "the most accurate")
-        + f" of {len(found.points)} settings that meets {_asked(wanted)}{law}"
+        f"tick {point.median_us:.0f} µs, 99 % {point.p99_us:.0f} µs, {rank} of {len(found.points)} settings that meets "
+        f"{_asked(wanted)}{law}"
     )
     leaves_out = [f"{point.leaves_out}, which no force needs"] if point.leaves_out else []
     late_ms = at.coupling.delay_ms + at.coupling.model_ms - 1
@@ -99,18 +92,19 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
 
 
 def _asked(wanted: Fidelity) -> str:
-    """A demand as it was written."""
+    """Return a demand as it was written."""
     return ", ".join(f"{name} = {value:g}" for name, value in wanted if value is not None)
 
 
 def _in_words(scene: Scene, setting: Setting, among: Sequence[Setting]) -> str:
-    """What a scene is at a setting, and of which it was chosen."""
+    """Return a setting, and those that it was chosen among, in words."""
     if scene.device == "none":
         return f"{setting.name}, of {'; '.join(each.name for each in among)}"
     foresight = {"none": "no prediction", "hold": "the tissue's last force held"}
-    predictor = foresight.get(scene.prediction, f"forces foretold by the {scene.prediction} predictor")
-    others, rate = "; ".join(each.name for each in among if each is not setting), 1e3 / scene.coupling.model_ms
+    predictor = foresight.get(scene.prediction, f"forces predicted by the {scene.prediction} predictor")
+    others = "; ".join(each.name for each in among if each is not setting)
+    rate_Hz = 1e3 / scene.coupling.model_ms
     return (
-        f"renderer {scene.renderer}, {predictor}, tissue asked at {rate:g} Hz ({setting.name!r}, "
-        f"rather than {others}), the tissue itself as the scene has it"
+        f"renderer {scene.renderer}, {predictor}, tissue asked at {rate_Hz:g} Hz ({setting.name!r}, rather than "
+        f"{others}), the tissue itself as the scene has it"
     )

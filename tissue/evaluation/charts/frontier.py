@@ -1,34 +1,33 @@
-"""All settings of a scene, measured once and kept, and those of them that nothing beats."""
+"""Settings of a scene, measured once and kept, and the Pareto-optimal ones."""
 
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from hashlib import blake2b
 from io import StringIO
-from math import isnan
+from math import isnan, nan
 from pathlib import Path
 
 from meshes.base.cache import cache_folder, read_entry, write_entry
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.charts.error_bounds import bound_row, float32_error
 from tissue.evaluation.charts.keys import machine, scene_text, setting_key, sources
 from tissue.evaluation.charts.law import LawError, law_error
-from tissue.evaluation.charts.measure import Measured, excerpt, measure
-from tissue.evaluation.charts.reference import of_model, reference_gap
+from tissue.evaluation.charts.measure import Measured, measure, short_of
+from tissue.evaluation.charts.reference import float32_error, of_model, reference_gap
 from tissue.evaluation.charts.settings import Setting, settings_of
 from tissue.scene.scene import Scene
 
-__all__ = ["Frontier", "frontier_of", "measured_keys", "measured_of", "short_of", "undominated", "write_measured"]
+__all__ = ["Frontier", "frontier_of", "measured_of", "undominated", "unmeasured", "write_measured"]
 
 OFFERED_US = 800.0
-"""99th percentile of a tick from which on nothing finer is offered [us]: the hand's loop has the rest of 1 ms."""
+"""99th percentile of a tick from which on no finer setting is offered [us]: the loop of the hand takes the rest."""
 COLUMNS = tuple(entry.name for entry in fields(Measured))
 
 
 @dataclass(frozen=True)
 class Frontier:
-    """What was measured of a scene.
+    """Measurements of a scene.
 
     Attributes
     ----------
@@ -37,62 +36,68 @@ class Frontier:
     points
         A measurement for each setting.
     gap
-        What the reference leaves open: its uncertainty, or a grid-convergence index, see `reference_gap`.
+        Uncertainty of the reference, see `reference_gap`.
     settings
-        The settings in the order of the points.
+        Settings in the order of the points.
     rounding
-        Change of the force by what float32 rounds; NaN where it was not asked for or nothing is computed in it.
+        Change of the force by the rounding of float32; NaN where it was not measured.
     law
-        The linear law against a neo-Hookean one; None where it was not asked for or there is no organ to compare.
+        The linear law against a neo-Hookean one; None where it was not measured.
     """
 
     scene: Scene
     points: tuple[Measured, ...]
     gap: float
     settings: tuple[Setting, ...]
-    rounding: float = float("nan")
+    rounding: float = nan
     law: LawError | None = None
 
     @property
     def best(self) -> tuple[Measured, ...]:
-        """Settings that no other beats in both cost and error, cheapest first."""
+        """Pareto-optimal settings in cost and error, cheapest first."""
         return tuple(undominated(self.points))
 
     @property
     def bounds(self) -> tuple[Measured, ...]:
         """Rows of a table that are no settings: of the law and of rounding, where they were measured."""
-        law = self.law.rows(self.scene) if self.law else ()
-        return law if isnan(self.rounding) else (*law, bound_row(self.scene, "float32", "rounding", self.rounding))
+        law = nan if self.law is None else self.law.error
+        errors = {("linear law", "law"): law, ("float32", "rounding"): self.rounding}
+        return tuple(
+            Measured(scene=self.scene.name, setting=name, family=family, force_error=error, machine=machine())
+            for (name, family), error in errors.items()
+            if not isnan(error)
+        )
 
 
 def undominated(points: Sequence[Measured]) -> list[Measured]:
-    """Those of some measurements that no other beats in both median tick and error, cheapest first."""
-    found: list[Measured] = []
+    """Return the Pareto-optimal measurements in median tick and error, cheapest first."""
+    best: list[Measured] = []
     for point in sorted(points, key=lambda each: (each.median_us, each.force_error)):
-        if not found or point.force_error < found[-1].force_error:
-            found.append(point)
-    return found
+        if not best or point.force_error < best[-1].force_error:
+            best.append(point)
+    return best
 
 
 def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) -> Frontier:
     """Measure every setting of a scene that was not measured on this machine before.
 
-    Every measurement is kept at once, so that one that is interrupted goes on where it was.
+    Every measurement is kept at once, so that an interrupted chart continues.
 
     Parameters
     ----------
     scene
-        A scene; with a device the settings are those of its loop, without one those of its model.
+        A scene. With a device the settings are those of its loop, without one those of its model.
     quick
         Fewer settings, a shorter excerpt and a coarser reference.
     report
-        Called with what is being measured.
+        Called with the current measurement.
     """
     path = _store(scene, quick=quick)
-    known = {point.key: point for point in _kept(path)}
+    known = _kept(path)
     settings = settings_of(scene, quick=quick)
     short: Scene | None = None
-    points, offered = list[Measured](), list[Setting]()
+    points = list[Measured]()
+    offered = list[Setting]()
     full = False  # whether a finer setting took all the time that a tick has for it
     for index, setting in enumerate(settings):
         if full and setting.finer:
@@ -100,10 +105,9 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
         report(f"{scene.name}: {setting.name}", index / (len(settings) + 1))
         key = setting_key(scene, setting, quick=quick)
         if key not in known:
-            if short is None:
-                short = short_of(scene, quick)
+            short = short or short_of(scene, quick)
             known[key] = replace(measure(short, setting, quick=quick), key=key)
-            known = {point.key: point for point in _kept(path)} | known  # of another process that charts it
+            known = _kept(path) | known  # another process may chart the scene too
             write_entry(path, _table(list(known.values())))
         points.append(known[key])
         offered.append(setting)
@@ -116,18 +120,15 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
     return replace(found, rounding=float32_error(short), law=law_error(short, report=report))
 
 
-def short_of(scene: Scene, quick: bool) -> Scene:
-    """The excerpt of a scene that its settings are run on."""
-    return excerpt(scene, settings_of(of_model(scene), quick=quick)[0].changes, quick=quick)
-
-
-def measured_keys(scene: Scene, *, quick: bool) -> set[str]:
-    """Keys of the settings that were measured on this machine before."""
-    return {point.key for point in _kept(_store(scene, quick=quick))}
+def unmeasured(scene: Scene, *, quick: bool) -> list[Setting]:
+    """Return the settings that were not measured on this machine yet."""
+    known = _kept(_store(scene, quick=quick))
+    settings = settings_of(scene, quick=quick)
+    return [each for each in settings if setting_key(scene, each, quick=quick) not in known]
 
 
 def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
-    """What the reference leaves open, kept beside the measurements."""
+    """Return the uncertainty of the reference, kept next to the measurements."""
     gap_file = path.with_suffix(".gap")
     if (kept := read_entry(gap_file)) is None:
         short = short_of(of_model(scene), quick)
@@ -137,25 +138,25 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
 
 
 def _store(scene: Scene, *, quick: bool) -> Path:
-    """Where a scene's measurements are kept: with the computed arrays of this machine."""
+    """Return the file of a scene's measurements, next to the computed arrays of this machine."""
     text = f"{scene_text(scene)}|{machine()}|{quick}|{sources()}"
     return cache_folder() / "frontiers" / f"{scene.name}-{blake2b(text.encode(), digest_size=8).hexdigest()}.csv"
 
 
+def _kept(path: Path) -> dict[str, Measured]:
+    """Read the measurements of a file of the cache, by key."""
+    return {point.key: point for point in measured_of(read_entry(path) or "")}
+
+
 def write_measured(path: Path, points: Sequence[Measured]) -> None:
-    """Write measurements as a table; a reader never sees half of it."""
+    """Write measurements as a table. A reader never sees half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         temporary.write_bytes(_table(points).encode())
 
 
-def _kept(path: Path) -> list[Measured]:
-    """Measurements of an entry of the cache."""
-    return measured_of(read_entry(path) or "")
-
-
 def measured_of(text: str) -> list[Measured]:
-    """Measurements of a table's text; none where it has other columns."""
+    """Return the measurements of a table's text; none if it has other columns."""
     table = csv.DictReader(StringIO(text, newline=""))
     if tuple(table.fieldnames or ()) != COLUMNS:
         return []
@@ -163,6 +164,7 @@ def measured_of(text: str) -> list[Measured]:
 
 
 def _table(points: Sequence[Measured]) -> str:
+    """Return measurements as the text of a table."""
     text = StringIO(newline="")
     writer = csv.DictWriter(text, COLUMNS)
     writer.writeheader()

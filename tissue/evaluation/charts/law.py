@@ -1,54 +1,60 @@
-"""How far the linear law is from a neo-Hookean one on a scene's own motion: what no setting of an organ mends.
+"""Error of the linear elastic law of an organ, and the law that a demanded fidelity needs.
 
-At some instants of the motion the body is brought to rest under both laws, on one mesh, with the tool where it is then
-and without friction, so that the difference is the law's alone.
+`law_error` brings the body to rest under the linear and the neo-Hookean law, at some instants of the motion, on the
+same mesh and without friction, so that the difference is that of the laws alone.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from math import isnan
-from time import perf_counter
+from functools import partial
+from math import nan
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
+from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.regions import faces_of
 from tissue.builders.organ import elasticity_of
-from tissue.builders.organ_law import coarser_mesh
+from tissue.builders.organ_law import coarser_mesh, hindrance
 from tissue.builders.registry import motion_of
-from tissue.evaluation.charts.error_bounds import bound_row
-from tissue.evaluation.charts.keys import machine, scene_text, sources
-from tissue.evaluation.charts.measure import Measured
+from tissue.evaluation.charts.keys import scene_text, sources
+from tissue.evaluation.charts.reference import of_model
+from tissue.evaluation.charts.settings import edge_mm, settings_of
 from tissue.evaluation.statistics.metrics import force_error
+from tissue.models.organ.model import LINEAR_ERROR
+from tissue.scene.coupling import Fidelity
+from tissue.scene.load import changed
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe
-from tissue.simulation.simulate import TICK_S
+from tissue.simulation.simulate import TICK_S, simulate
 
 if TYPE_CHECKING:
     from tissue.fem.hyperelastic import Law
     from tissue.fem.newton import NewtonSolver
 
-__all__ = ["LawError", "law_error"]
+__all__ = ["LawError", "law_error", "linear_error", "with_law"]
 
-Instants = list[tuple[Array, Array, Array]]
+LAW = "neo-hookean"
+"""Law that replaces the linear one. It has no constants in addition to those of small strains."""
 INSTANTS = 4
 """Instants of the contact that are solved, in the middle of as many equal parts of it."""
 POSES = 400
-"""Poses of the motion at which contact is looked for."""
-EDGES = (1.4, 2.0)
-"""Edges of the mesh, and of a coarser one to compare with, over the scene's: liver-press takes 40 s of one core.
+"""Poses of the motion that are searched for contact."""
+COARSER = 1.4
+"""Edges of the mesh over those of the scene.
 
-A graded slab with a nodule takes minutes: the nodule keeps its cells short, and the gradients take more iterations.
+At 1.4 liver-press takes 40 s of one core. A graded slab with a nodule takes minutes: the nodule needs short cells, and
+the gradients more iterations.
 """
 TOLERANCE = 1e-4
-"""Residual of a solve, and how far a node may be off the ball over its radius: the laws differ by per cents."""
+"""Residual of a solve, and distance of a node to the ball over its radius. The laws differ by per cents."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +65,13 @@ class LawError:
     ----------
     depth_m
         Depth of the tool in the undeformed body [m], shape (k,).
-    linear_N, neo_N, coarse_N
-        By the linear law, by the neo-Hookean one, and by that on a coarser mesh, where deepest [N], shape (k, 3).
-    solve_us
-        Time of a neo-Hookean solve one tick's path from one that is done [us], shape (k,).
-    cells, took_s
-        Tetrahedra, and time of all of it [s], shape ().
+    linear_N, neo_N
+        By the linear and by the neo-Hookean law [N], shape (k, 3).
     """
 
     depth_m: Array
     linear_N: Array
     neo_N: Array
-    coarse_N: Array
-    solve_us: Array
-    cells: Ints
-    took_s: Array
 
     @property
     def solved(self) -> NDArray[np.bool_]:
@@ -82,39 +80,12 @@ class LawError:
 
     @property
     def error(self) -> float:
-        """||F_linear - F_neo|| / ||F_neo|| over the instants; NaN if none was solved."""
-        return self._off(self.linear_N)
-
-    @property
-    def gap(self) -> float:
-        """Distance of the neo-Hookean force on the coarser mesh to that on the finer one; NaN where it is unknown."""
-        return self._off(self.coarse_N)
-
-    def _off(self, force_N: Array) -> float:
-        on = np.isfinite(force_N + self.neo_N).all(axis=1)
-        return force_error(force_N[on], self.neo_N[on]) if on.any() else float("nan")
-
-    def rows(self, scene: Scene) -> tuple[Measured, ...]:
-        """The law of all settings, and the neo-Hookean solve with its change on a coarser mesh; none if none was."""
+        """||F_linear - F_neo|| / ||F_neo|| over the instants; NaN if no instant was solved."""
         on = self.solved
-        if not on.any():
-            return ()
-        solve_us = self.solve_us[on]
-        return bound_row(scene, "linear law", "law", self.error), bound_row(
-            scene,
-            "neo-Hookean (statics)",
-            "law",
-            self.gap,
-            leaves_out="friction",
-            median_us=float(np.median(solve_us)),
-            p99_us=float(np.percentile(solve_us, 99)),
-            missed=int((solve_us > 1e3).sum()),
-            elements=int(self.cells),
-            built_s=float(self.took_s),
-        )
+        return force_error(self.linear_N[on], self.neo_N[on]) if on.any() else nan
 
     def line(self) -> str:
-        """The error in words."""
+        """Return the error in words."""
         on = self.solved
         if not on.any():
             return f"the neo-Hookean law converged at none of {len(on)} instants of this motion"
@@ -122,107 +93,153 @@ class LawError:
             f"the linear law is {100.0 * self.error:.2g} % off a neo-Hookean one on this motion, whatever the setting: "
             f"{on.sum()} instants without friction, up to {1e3 * self.depth_m[on].max():.2g} mm deep"
             + ("" if on.all() else f", {len(on) - on.sum()} more did not converge")
-            + f"; a neo-Hookean solve takes {1e-3 * np.median(self.solve_us[on]):.0f} ms"
-            + ("" if isnan(self.gap) else f", coarser cells move its force by {100.0 * self.gap:.2g} %")
         )
 
 
 def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
-    """Both laws on the motion of a scene, kept on disk; None where they cannot be compared.
+    """Compare both laws on the motion of a scene, kept on disk; None where they cannot be compared.
 
     They can for a ball on a path into an organ that is isotropic, weightless and without a capsule.
     """
-    anatomy, organ, tool = scene.anatomy, scene.organ, scene.tool
-    if not isinstance(anatomy, SoftAnatomy) or not isinstance(scene.motion, PathMotion):
-        return None
-    if not isinstance(tool, Probe) or tool.kind != "sphere-probe":
+    organ = scene.organ
+    if not _pressed_by_a_ball(scene) or not isinstance(scene.motion, PathMotion):
         return None
     if organ.fibre_direction is not None or organ.capsule or organ.gravity:
         return None
-    radius = 0.5e-3 * tool.diameter_mm
 
     def make() -> dict[str, NDArray[np.generic]]:
-        """Both laws at the instants, as arrays that a file can hold."""
+        """Solve both laws at the instants."""
         from tissue.fem.hyperelastic import Law
 
-        started = perf_counter()
         report(f"{scene.name}: linear law and neo-Hookean one", 0.99)
-        linear, neo = _solvers(scene, EDGES[0], (Law.LINEAR, Law.NEO_HOOKEAN))
-        (coarse,) = _solvers(scene, EDGES[1], (Law.NEO_HOOKEAN,))
-        at = _instants(scene, linear, radius)
-        force_N, depth_m, solve_us = _pressed(neo, at, radius)
-        coarse_N = np.full(force_N.shape, np.nan)
-        deepest = [int(depth_m.argmax())] if at else []
-        coarse_N[deepest] = _pressed(coarse, [at[k] for k in deepest], radius)[0]
-        return {
-            "depth_m": depth_m,
-            "linear_N": _pressed(linear, at, radius)[0],
-            "neo_N": force_N,
-            "coarse_N": coarse_N,
-            "solve_us": solve_us,
-            "cells": np.array(len(neo.body.space.cell_nodes)),
-            "took_s": np.array(perf_counter() - started),
-        }
+        solvers = _solvers(scene, (Law.LINEAR, Law.NEO_HOOKEAN))
+        tips_m, direction = _touching(scene, solvers[0])
+        assert isinstance(scene.tool, Probe)
+        press = partial(_pressed, tips_m=tips_m, direction=direction, radius_m=0.5e-3 * scene.tool.diameter_mm)
+        linear_N, depth_m = press(solvers[0])
+        neo_N, _ = press(solvers[1])
+        return {"depth_m": depth_m, "linear_N": linear_N, "neo_N": neo_N}
 
-    kept = cached_arrays("law", (scene_text(scene), INSTANTS, POSES, EDGES, TOLERANCE, machine(), sources()), make)
+    kept = cached_arrays("law", (scene_text(scene), INSTANTS, POSES, COARSER, TOLERANCE, sources()), make)
     return LawError(**{entry.name: kept[entry.name] for entry in fields(LawError)})  # type: ignore[arg-type]
 
 
-def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[NewtonSolver]":
-    """The scene's organ under each law, its edges longer by a factor."""
+def _pressed_by_a_ball(scene: Scene) -> bool:
+    """Whether a ball presses an organ."""
+    tool = scene.tool
+    return isinstance(scene.anatomy, SoftAnatomy) and isinstance(tool, Probe) and tool.kind == "sphere-probe"
+
+
+def _solvers(scene: Scene, laws: "Sequence[Law]") -> "list[NewtonSolver]":
+    """Return a solver of the scene's organ for each law, on its coarser mesh."""
     from tissue.fem.hyperelastic import NonlinearBody
     from tissue.fem.newton import NewtonSolver
     from tissue.fem.space import Space
 
-    assert isinstance(scene.anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
-    edge_m = 1e-3 * (scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm)
-    path = motion_of(scene, step_s=TICK_S).sweep_m()
-    found = coarser_mesh(scene, path_m=path, touch_edge_m=edge_m, ratio=coarser, report=silent)
+    assert isinstance(scene.anatomy, SoftAnatomy)
+    path_m = motion_of(scene, step_s=TICK_S).sweep_m()
+    edge_m = 1e-3 * edge_mm(scene)
+    found = coarser_mesh(scene, path_m=path_m, touch_edge_m=edge_m, ratio=COARSER, report=silent)
     space = Space(found.mesh, scene.organ.order)
     held = np.zeros((space.node_count, 3), dtype=bool)
     held[found.held] = True
     held[space.with_middles(faces_of(space.mesh, found.held))] = True
     lame, _ = elasticity_of(found.mesh, scene.anatomy, scene.organ, scene.constants)
     solvers: list[NewtonSolver] = []
-    for law in laws:  # the stiffness at rest is the same for all
+    for law in laws:
+        # All laws have the same stiffness at rest.
         known = solvers[0].precondition if solvers else None
         body = NonlinearBody(space, lame, law=law)
         solvers.append(NewtonSolver(body, held, tolerance=TOLERANCE, precondition=known))
     return solvers
 
 
-def _instants(scene: Scene, solver: "NewtonSolver", radius_m: float) -> Instants:
-    """Tips [m], directions that the tool comes along and its path in a tick [m], spread over the contact."""
-    assert isinstance(scene.motion, PathMotion)
+def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
+    """Return tips of the tool evenly spread over its contact with the undeformed body [m], and its direction."""
+    assert isinstance(scene.tool, Probe)
     motion = motion_of(scene, step_s=TICK_S)
-    corners, axis = motion.sweep_m(), motion.rotations()[0][:, 2]
-    wanted = np.linspace(0.0, arc_length(corners)[-1], POSES)
-
+    corners = motion.sweep_m()
+    axis = motion.rotations()[0][:, 2]
+    radius_m = 0.5e-3 * scene.tool.diameter_mm
+    along = np.linspace(0.0, arc_length(corners)[-1], POSES)
     surface = solver.body.nodes_m[np.unique(solver.body.space.faces)]
-    away, _ = KDTree(surface).query(points_along(corners, wanted) + radius_m * axis)
-    touching = wanted[away < radius_m]
-    chosen = (
-        touching[((np.arange(INSTANTS) + 0.5) / INSTANTS * len(touching)).astype(int)] if len(touching) else touching
-    )
-    tips = points_along(corners, chosen)
-    steps = points_along(corners, chosen + 1e-3 * scene.motion.feed_mm_s * TICK_S) - tips
-    return [(tip, -axis, step) for tip, step in zip(tips, steps, strict=True)]
+    away, _ = KDTree(surface).query(points_along(corners, along) + radius_m * axis)
+    touching = along[away < radius_m]
+    if not len(touching):
+        return np.empty((0, 3)), -axis
+    chosen = touching[((np.arange(INSTANTS) + 0.5) / INSTANTS * len(touching)).astype(int)]
+    return points_along(corners, chosen), -axis
 
 
-def _pressed(solver: "NewtonSolver", at: Instants, radius_m: float) -> tuple[Array, Array, Array]:
-    """Force on the ball at each instant [N], its depth [m], and the time of a solve a tick later [us]."""
+def _pressed(solver: "NewtonSolver", *, tips_m: Array, direction: Array, radius_m: float) -> tuple[Array, Array]:
+    """Solve for the force on the ball at each tip [N], and its depth [m]; NaN where a solve does not converge."""
     from tissue.fem.linear_limits import press_at
 
-    found = []
-    for tip, direction, step in at:
-        solution, sphere, depth = press_at(solver, tip, direction, radius_m=radius_m, tolerance=TOLERANCE)
-        force, took = np.full(3, np.nan), float("nan")
-        if solution.converged:
-            force = solution.tool_force_N
-            sphere.move_to(sphere.centre_m + step)
-            start = perf_counter()
-            solver.solve(sphere=sphere, start_m=solution.displacement_m)
-            took = 1e6 * (perf_counter() - start)
-        found.append([*force, depth, took])
-    table = np.array(found).reshape(-1, 5)
-    return table[:, :3], table[:, 3], table[:, 4]
+    rows = []
+    for tip in tips_m:
+        solution, _, depth = press_at(solver, tip, direction, radius_m=radius_m, tolerance=TOLERANCE)
+        rows.append([*(solution.tool_force_N if solution.converged else np.full(3, np.nan)), depth])
+    table = np.array(rows).reshape(-1, 4)
+    return table[:, :3], table[:, 3]
+
+
+def linear_error(depth: float) -> float:
+    """Return the error of the linear force on a ball against a neo-Hookean one, by depth over radius.
+
+    It is interpolated between the depths of `LINEAR_ERROR`, from zero at rest, and extrapolated beyond the last.
+    """
+    depths, errors = np.array([(0.0, 0.0), *LINEAR_ERROR]).T
+    beyond = (errors[-1] - errors[-2]) / (depths[-1] - depths[-2]) * max(depth - depths[-1], 0.0)
+    return float(np.interp(depth, depths, errors)) + float(beyond)
+
+
+def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
+    """Return a scene with the law that its forces need, and the reason in words; empty where the law is kept unasked.
+
+    Parameters
+    ----------
+    scene
+        A scene that is moved by its script. Others keep their law.
+    wanted
+        Demanded fidelity.
+
+    Raises
+    ------
+    InputError
+        If ticks with the needed law take longer than demanded.
+    """
+    organ = scene.organ
+    if wanted.force_error is None or scene.device != "none" or organ.law != "linear" or not _pressed_by_a_ball(scene):
+        return scene, ""
+    assert isinstance(scene.tool, Probe)
+    depth = _greatest_depth_mm(scene) / (0.5 * scene.tool.diameter_mm)
+    error = linear_error(depth)
+    off = f"{100.0 * error:.2g} % off"
+    deep = f"{depth:.2g} radii deep"
+    if error <= wanted.force_error:
+        return scene, f"; linear law, {off} a neo-Hookean one {deep}"
+    if key := hindrance(organ):
+        return scene, f"; the linear law is {off} a neo-Hookean one {deep}, which organ.{key} leaves as it is"
+    lawful = changed(scene, {"organ.law": LAW})
+    why = f"; organ.law = {LAW}, for the linear one is {off} {deep}"
+    if wanted.tick_ms is not None:
+        run = simulate(lawful)
+        tick_ms = 1e-3 * float(np.percentile(run.timing["tick_us"][run.trace["contact_mm2"] > 0.0], 99))
+        if tick_ms > wanted.tick_ms:
+            raise InputError(
+                f"fidelity must be met by a law of {scene.name} on this machine, got force_error = "
+                f"{wanted.force_error:g}, tick_ms = {wanted.tick_ms:g}: the linear law is {off} {deep}, with "
+                f"organ.law = {LAW} tick_ms = {tick_ms:.2g}"
+            )
+        why += f", with which 99 % of the ticks take {tick_ms:.2g} ms"
+    return lawful, why
+
+
+def _greatest_depth_mm(scene: Scene) -> float:
+    """Return the largest indentation by the script [mm], on the coarsest cells; kept on disk."""
+    coarse = changed(of_model(scene), settings_of(scene, quick=True)[0].changes)
+
+    def make() -> dict[str, NDArray[np.generic]]:
+        return {"depth_mm": simulate(coarse).trace["indentation_mm"].max(keepdims=True)}
+
+    return float(np.asarray(cached_arrays("depth", (scene_text(coarse), sources()), make)["depth_mm"])[0])

@@ -1,10 +1,11 @@
-"""What the forces of a scene are held to: the exact geometry where it is known, else the finest of three grids.
+"""Reference forces of a scene: by exact geometry where it is known, else by the finest of three grids.
 
-How well the exact one is known is its own uncertainty; of the finest grid it is the grid-convergence index, which
-bounds the error of the discretisation and none that all grids share.
+The exact force has its own uncertainty. That of the finest grid is the grid-convergence index, which bounds the error
+of the discretisation, but no error that all grids share.
 """
 
 from importlib.metadata import version
+from math import nan
 
 import numpy as np
 
@@ -17,20 +18,24 @@ from tissue.evaluation.reference.history import has_exact_geometry, reference_fo
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
+from tissue.scene.tool import PathMotion, Tool
 from tissue.simulation.reference_force import ideal_force_N, played_force_N
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import simulate
 
-__all__ = ["force_and_reference_N", "grid_force_N", "of_model", "reference_gap", "reference_words"]
+__all__ = ["float32_error", "force_and_reference_N", "grid_force_N", "of_model", "reference_gap", "reference_words"]
+
+LAST_PLACE_MM = float(np.spacing(np.float32(10.0)))
+"""Last place of a float32 at 10 mm, the size of a path: 1 nm."""
 
 
 def of_model(scene: Scene) -> Scene:
-    """The same scene moved by its script, without all that no script depends on."""
+    """Return the scene moved by its script, without all that no script depends on."""
     return changed(scene, {"device": "none", "prediction": "none", "perception": "none", "coupling": None})
 
 
 def grid_force_N(scene: Scene, changes: Changes) -> Array:
-    """Force on the tool over time by a scene's own model [N], shape (n, 3), kept on disk."""
+    """Compute the force on the tool over time by the model of a scene [N], shape (n, 3); kept on disk."""
     at = changed(of_model(scene), changes)
     forces = cached_arrays(
         "grid-force",
@@ -41,9 +46,9 @@ def grid_force_N(scene: Scene, changes: Changes) -> Array:
 
 
 def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array, Array]:
-    """Force of a run of a scene at some setting, and the one that it is held to on the same motion, each shape (n, 3).
+    """Return the force of a run and its reference on the same motion, each shape (n, 3) [N].
 
-    By hand what is played is held to a prompt loop with the finest model.
+    By hand it is the played force, and its reference is a loop without delay on the finest model.
     """
     if scene.device != "none":
         return played_force_N(run.trace), ideal_force_N(run, finest(scene, quick=quick))
@@ -54,10 +59,10 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
 
 
 def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
-    """What the reference of a scene that is moved by its script leaves open: below it no difference is resolved.
+    """Return the uncertainty of the reference: differences below it are not resolved.
 
-    The uncertainty of the exact geometry's force; by hand, where runs are held to the finest grid, that grid's error.
-    Where no exact geometry is known, the grid-convergence index of the finest grid.
+    With an exact geometry it is the uncertainty of its force; by hand, where the finest grid is the reference, the
+    error of that grid. Without an exact geometry it is the grid-convergence index of the finest grid.
     """
     model = of_model(scene)
     if not has_exact_geometry(model):
@@ -74,9 +79,11 @@ def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
 
 
 def reference_words(scene: Scene, gap: float) -> str:
-    """What a scene's forces are held to, and what that leaves open."""
-    model, percent = of_model(scene), f"{100.0 * gap:.2g} %"
-    exact, by_hand = has_exact_geometry(model), scene.device != "none"
+    """Return the reference of a scene and its uncertainty in words."""
+    model = of_model(scene)
+    percent = f"{100.0 * gap:.2g} %"
+    exact = has_exact_geometry(model)
+    by_hand = scene.device != "none"
     if exact and not by_hand:
         return f"the exact geometry (known to {percent})"
     if not grids(model, quick=True):
@@ -85,3 +92,18 @@ def reference_words(scene: Scene, gap: float) -> str:
     if exact:
         return f"{grid} ({percent} off the exact geometry)"
     return f"{grid} (grid-convergence index {percent}, of the discretisation alone)"
+
+
+def float32_error(scene: Scene) -> float:
+    """Return the change of the force of a cut, over the force, by a path moved aside by the last place of a float32.
+
+    Voxels are cut in float32, which rounds all coordinates to about that. Where a tool only grazes voxels, the rounding
+    decides whether it touches, and the change is much larger than the last place of a force. NaN where a model computes
+    in float64: organs, needles and walls.
+    """
+    motion = scene.motion
+    if not isinstance(scene.tool, Tool) or not isinstance(motion, PathMotion):
+        return nan
+    path = tuple((x + LAST_PLACE_MM, y - LAST_PLACE_MM, z - LAST_PLACE_MM) for x, y, z in motion.points_mm)
+    shifted = scene.model_copy(update={"motion": motion.model_copy(update={"points_mm": path})})
+    return force_error(grid_force_N(shifted, {"stress": None}), grid_force_N(scene, {"stress": None}))

@@ -1,7 +1,7 @@
-"""Charts of scenes: their frontiers by script and by hand, as pictures and as tables. Cutting scenes by script alone.
+"""Charts of scenes: frontiers by script and by hand, as pictures and tables.
 
-Before anything is timed, other processes may make what it needs: references and condensed meshes. They hand nothing
-back; it all goes to the cache on disk, where measuring finds it.
+Before anything is timed, other processes compute references and condensed meshes. Their results go to the cache on
+disk, where measurements find them.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -13,13 +13,12 @@ from pathlib import Path
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.evaluation.charts.frontier import Frontier, frontier_of, measured_keys, short_of, write_measured
-from tissue.evaluation.charts.keys import machine, setting_key
-from tissue.evaluation.charts.overview import draw_overview
-from tissue.evaluation.charts.picture import draw_frontiers
-from tissue.evaluation.charts.places import placed
+from tissue.evaluation.charts.frontier import Frontier, frontier_of, unmeasured, write_measured
+from tissue.evaluation.charts.keys import machine
+from tissue.evaluation.charts.measure import short_of
+from tissue.evaluation.charts.pictures import draw_frontiers, draw_overview
 from tissue.evaluation.charts.reference import grid_force_N, of_model, reference_words
-from tissue.evaluation.charts.settings import by_hand, finest, grids, settings_of, untrained
+from tissue.evaluation.charts.settings import by_hand, finest, grids, placed, settings_of, untrained
 from tissue.evaluation.reference.history import has_exact_geometry, reference_force
 from tissue.scene.load import changed, load_scene, scene_names
 from tissue.scene.organ import SoftAnatomy
@@ -33,7 +32,7 @@ from tissue.system.workers import first_done
 __all__ = ["chart_lines", "chart_scenes", "charted", "make_ready", "notes_before"]
 
 READY_SHARE = 0.3
-"""Share of a chart's time that making ready takes."""
+"""Share of a chart's time that the preparation takes."""
 
 
 def chart_scenes(
@@ -45,10 +44,10 @@ def chart_scenes(
     pool: Executor | None = None,
     report: Progress = silent,
 ) -> list[list[Frontier]]:
-    """Chart some scenes, or all where none is named; each leaves NAME.png and NAME.csv, all frontier.png.
+    """Chart some scenes, or all without names. Each writes NAME.png and NAME.csv, all together frontier.png.
 
-    What was measured on this machine before is not measured again, so that a call that was interrupted goes on. Where
-    there are other processes, they make references and meshes ready, and are idle while anything is timed.
+    Settings that were measured on this machine before are not measured again, so that an interrupted chart continues.
+    The processes of ``pool`` prepare references and meshes, and are idle while anything is timed.
 
     Raises
     ------
@@ -58,33 +57,27 @@ def chart_scenes(
     scenes = [load_scene(name) for name in names or scene_names()]
     files = [f"{scene.name}{end}" for scene in scenes for end in (".csv", ".png")]
     with owned_folder(out, "chart", files, overwrite=overwrite, shared=("frontier.png", "machine.txt")):
-        return _chart_scenes(scenes, out, quick=quick, pool=pool, report=report)
+        begin = 0.0
+        if pool is not None:
+            begin = READY_SHARE
+            kinds = [kind for scene in scenes for kind in charted(scene)]
+            make_ready(kinds, pool, quick=quick, report=lambda doing, share: report(doing, begin * share))
+        found = []
+        drawn = []
+        for index, scene in enumerate(scenes):
 
+            def report_share(doing: str, share: float, index: int = index) -> None:
+                report(doing, begin + (1.0 - begin) * (index + share) / len(scenes))
 
-def _chart_scenes(
-    scenes: Sequence[Scene], out: Path, *, quick: bool, pool: Executor | None, report: Progress
-) -> list[list[Frontier]]:
-    """Chart scenes into a folder that is held."""
-    kinds = [charted(scene) for scene in scenes]
-    begin = 0.0
-    if pool is not None:
-        begin = READY_SHARE
-        every = [kind for both in kinds for kind in both]
-        make_ready(every, pool, quick=quick, report=lambda doing, share: report(doing, begin * share))
-    found, drawn = [], []
-    for index, (scene, both) in enumerate(zip(scenes, kinds, strict=True)):
-
-        def report_share(doing: str, share: float, index: int = index) -> None:
-            report(doing, begin + (1.0 - begin) * (index + share) / len(scenes))
-
-        frontiers = [frontier_of(kind, quick=quick, report=report_share) for kind in both]
-        drawn.append([each for each in frontiers if len(each.points) > 1])
-        draw_frontiers(drawn[-1], out / f"{scene.name}.png")
-        write_measured(out / f"{scene.name}.csv", [row for each in frontiers for row in (*each.points, *each.bounds)])
-        found.append(frontiers)
-    draw_overview(drawn, out / "frontier.png")
-    with whole_file(out / "machine.txt") as temporary:
-        temporary.write_text(machine() + "\n", "utf-8")
+            frontiers = [frontier_of(kind, quick=quick, report=report_share) for kind in charted(scene)]
+            rows = [row for each in frontiers for row in (*each.points, *each.bounds)]
+            found.append(frontiers)
+            drawn.append([each for each in frontiers if len(each.points) > 1])
+            draw_frontiers(drawn[-1], out / f"{scene.name}.png")
+            write_measured(out / f"{scene.name}.csv", rows)
+        draw_overview(drawn, out / "frontier.png")
+        with whole_file(out / "machine.txt") as temporary:
+            temporary.write_text(machine() + "\n", "utf-8")
     return found
 
 
@@ -104,8 +97,7 @@ def notes_before(names: Sequence[str]) -> list[str]:
     notes = []
     for name in names or scene_names():
         for kind in charted(load_scene(name)):
-            missing = untrained(kind) if kind.device != "none" else ()
-            if missing:
+            if kind.device != "none" and (missing := untrained(kind)):
                 notes.append(
                     f"{name}: {', '.join(missing)} are left out, no trained predictor. "
                     f"Train one with 'tissue train {name}'."
@@ -114,82 +106,65 @@ def notes_before(names: Sequence[str]) -> list[str]:
 
 
 def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
-    """Frontiers in words, a line for each setting that nothing beats."""
+    """Return frontiers in words, a line for each Pareto-optimal setting."""
     lines = []
-    for both in found:
-        for each in both:
-            how = "by script" if each.scene.device == "none" else f"by hand on {each.scene.device}"
-            lines.append(f"{each.scene.name} {how}, held to {reference_words(each.scene, each.gap)}")
-            if not isnan(each.rounding):
-                lines.append(f"  float32: a path moved by a last place, 1 nm, moves the force by {each.rounding:.1e}")
-            if each.scene.device == "none" and isinstance(each.scene.anatomy, SoftAnatomy):
-                law = each.law.line() if each.law else "all by the linear law, not compared with a neo-Hookean one"
-                lines += [
-                    f"  {law}",
-                    "  forces all in float64; float32 are only the frames that a run keeps to be shown",
-                ]
-            lines += [
+    for each in (frontier for both in found for frontier in both):
+        scene = each.scene
+        how = "by script" if scene.device == "none" else f"by hand on {scene.device}"
+        lines.append(f"{scene.name} {how}, held to {reference_words(scene, each.gap)}")
+        if not isnan(each.rounding):
+            lines.append(f"  float32: a path moved by a last place, 1 nm, changes the force by {each.rounding:.1e}")
+        if scene.device == "none" and isinstance(scene.anatomy, SoftAnatomy):
+            law = each.law.line() if each.law else "all by the linear law, not compared with a neo-Hookean one"
+            lines.append(f"  {law}")
+        for point in each.best:
+            lines.append(
                 f"  {point.setting:<28} error {100.0 * point.force_error:6.2g} %, over 50 ms "
-                f"{100.0 * point.error_50_ms:6.2g} %   "
-                f"tick {point.median_us:5.0f} µs, 99 % {point.p99_us:6.0f} µs"
-                for point in each.best
-            ]
+                f"{100.0 * point.error_50_ms:6.2g} %   tick {point.median_us:5.0f} µs, 99 % {point.p99_us:6.0f} µs"
+            )
     return lines
 
 
 def make_ready(kinds: Sequence[Scene], pool: Executor, *, quick: bool, report: Progress) -> None:
-    """Make ready what scenes by script and by hand need that were not measured on this machine yet."""
-    waiting = [kind for kind in kinds if _unknown(kind, quick=quick)]
+    """Compute in other processes what settings need that were not measured on this machine yet."""
+    waiting = [kind for kind in kinds if unmeasured(kind, quick=quick)]
     try:
         for name, done in _done(pool, [(kind.name, partial(short_of, kind, quick)) for kind in waiting], report):
             report(f"{name}: first contact", 0.2 * done)
-        work = [(kind.name, partial(_make, *each)) for kind in waiting for each in pieces(kind, quick=quick)]
+        work = [(kind.name, call) for kind in waiting for call in _preparations(kind, quick=quick)]
         for name, done in _done(pool, work, report):
             report(f"{name}: references and meshes", 0.2 + 0.8 * done)
     except BrokenExecutor:
         report("the processes that make charts ready were lost: what is missing is made where it is measured", 1.0)
 
 
-def pieces(scene: Scene, *, quick: bool) -> list[tuple[Scene, bool]]:
-    """Runs whose results the measurements of a scene will find in the cache, and whether only for their mesh."""
+def _preparations(scene: Scene, *, quick: bool) -> list[Callable[[], None]]:
+    """Return calls whose results the measurements of a scene will find in the cache."""
     short = short_of(scene, quick)
     model = short_of(of_model(scene), quick)
-    found: list[tuple[Scene, bool]] = []
-    if scene.device == "none":
-        if has_exact_geometry(model):
-            at = [(place, settings_of(model, quick=quick)[0].changes) for place in placed(model)]
-        else:
-            three = grids(model, quick=quick)
-            at = [(model, each) for each in three] + [
-                (place, each) for place in placed(model)[1:] for each in three[2:]
-            ]
-        found = [(changed(each, changes), False) for each, changes in at]
-    if isinstance(scene.anatomy, SoftAnatomy):
-        wanted = _unknown(scene, quick=quick)
-        if scene.device == "none":
-            meshes = [changed(place, changes) for changes in wanted for place in placed(short)]
-        else:
-            meshes = [short, ideal_scene(short, finest(scene, quick=quick))] if wanted else []
-        found += [(changed(mesh, {"duration_s": TICK_S}), True) for mesh in meshes]
-    return found
+    by_script = scene.device == "none"
+    references: list[Scene] = []
+    if by_script and has_exact_geometry(model):
+        coarse = settings_of(model, quick=quick)[0].changes
+        references = [changed(place, coarse) for place in placed(model)]
+    elif by_script:
+        three = grids(model, quick=quick)
+        references = [changed(model, each) for each in three]
+        references += [changed(place, each) for place in placed(model)[1:] for each in three[2:]]
+    meshes: list[Scene] = []
+    if isinstance(scene.anatomy, SoftAnatomy) and by_script:
+        wanted = unmeasured(scene, quick=quick)
+        meshes = [changed(place, setting.changes) for setting in wanted for place in placed(short)]
+    elif isinstance(scene.anatomy, SoftAnatomy):
+        meshes = [short, ideal_scene(short, finest(scene, quick=quick))]
+    calls = [partial(_reference, each) for each in references]
+    return [*calls, *(partial(_mesh, each) for each in meshes)]
 
 
-def _unknown(scene: Scene, *, quick: bool) -> list[dict[str, object]]:
-    """Settings of a scene that were not measured yet, of those that compute alike one."""
-    known = measured_keys(scene, quick=quick)
-    return [
-        dict(setting.changes)
-        for setting in settings_of(scene, quick=quick)
-        if setting_key(scene, setting, quick=quick) not in known
-    ]
-
-
-def _make(scene: Scene, for_mesh: bool) -> None:
-    """Run a scene, for a mesh one tick. What is refused here is refused again, and reported, where it is measured."""
+def _reference(scene: Scene) -> None:
+    """Compute a reference. A refused scene is refused again, and reported, where it is measured."""
     try:
-        if for_mesh:
-            simulate(scene, allow_unstable=True)
-        elif has_exact_geometry(scene):
+        if has_exact_geometry(scene):
             reference_force(scene, simulate(scene, allow_unstable=True).trace)
         else:
             grid_force_N(scene, {})
@@ -197,10 +172,18 @@ def _make(scene: Scene, for_mesh: bool) -> None:
         return
 
 
+def _mesh(scene: Scene) -> None:
+    """Condense a mesh by a run of one tick."""
+    try:
+        simulate(changed(scene, {"duration_s": TICK_S}), allow_unstable=True)
+    except InputError:
+        return
+
+
 def _done(
     pool: Executor, work: Sequence[tuple[str, Callable[[], object]]], report: Progress
 ) -> Iterator[tuple[str, float]]:
-    """Do some work; yield whose was done and what share that makes."""
+    """Submit named calls; yield the name of each finished one and the finished share."""
     names = {pool.submit(call): name for name, call in work}
     count = len(names)
     while names:

@@ -1,8 +1,10 @@
-"""What can be chosen for a scene: its settings from coarse to fine, and the grids that its convergence is shown by."""
+"""Settings of a scene from coarse to fine, grids of its convergence, and places of its path on a grid."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import product
+
+import numpy as np
 
 from tissue.builders.cutting import cutter_of
 from tissue.prediction.trained import is_trained
@@ -10,18 +12,29 @@ from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy
 from tissue.scene.registry import PREDICTORS, RENDERERS
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
+from tissue.scene.tool import PathMotion, Tool
 
-__all__ = ["LATENCY_MS", "Setting", "by_hand", "finest", "grids", "refined", "settings_of", "shares", "untrained"]
+__all__ = [
+    "PLACES", "Changes", "Setting", "by_hand", "edge_mm", "finest", "grids", "moved", "placed", "refined",
+    "settings_of", "shares", "untrained",
+]  # fmt: skip
 
 LATENCY_MS = 4
-"""Latency at which loops are compared where a scene has none, the mean that the paper reports being 4.3 ms."""
+"""Latency of the compared loops where a scene has none. The mean that the paper reports is 4.3 ms."""
 LOST = "displacement and stress"
 VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
 """Lengths of the three grids of a grid-convergence index over those of the scene, quick or not."""
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
-"""The same of tetrahedra: half the edge takes seven times the unknowns, 140,000 of a liver. Ratios nearer to
-1 would show how the force scatters from mesh to mesh, and no order."""
+"""Lengths of tetrahedra. Half the edge takes seven times the unknowns, 140,000 of a liver. With ratios nearer to 1 the
+scatter of the force from mesh to mesh would hide the order."""
+PLACES = ((0.0, 0.0, 1.0), (-0.37, -0.61, 1.07), (0.61, 0.37, 0.93))
+"""Shifts along x and y as shares of the coarsest step, and factors of the depth.
+
+The error of a discretisation depends on the place of the tool on the grid or mesh: a path along voxels is cut better
+than one between them. No share is a half, third or quarter, so that the place differs on finer grids as well.
+"""
+COARSEST = 4.0
+"""Coarsest voxel of a chart over that of the scene."""
 Changes = Mapping[str, object]
 
 
@@ -34,17 +47,17 @@ class Setting:
     name
         A few words, for a picture.
     family
-        What is varied: voxels, shell, elements, path, stress, loop or cores.
+        Varied quantity: voxels, shell, elements, path, stress, loop or cores.
     changes
-        Values by dotted key; None takes an entry out.
+        Values by dotted key; None removes an entry.
     leaves_out
-        What a scene loses by it, in words; empty for nothing.
+        Results that the scene loses by it, in words; empty for none.
     cores
         Processor cores; None for all.
     compute
         Warp device.
     finer
-        Whether it is finer than the scene: offered where the finer ones before it took no longer than a tick may.
+        Whether it is finer than the scene. It is offered if the finer settings before it keep the time of a tick.
     """
 
     name: str
@@ -57,7 +70,7 @@ class Setting:
 
 
 def by_hand(scene: Scene) -> Scene:
-    """The scene on a device, with a latency to be hidden."""
+    """Return the scene on a device, with a latency to hide."""
     changes: dict[str, object] = {} if scene.device != "none" else {"device": "touch"}
     if scene.coupling.delay_ms == 0:
         changes["coupling.delay_ms"] = LATENCY_MS
@@ -65,41 +78,41 @@ def by_hand(scene: Scene) -> Scene:
 
 
 def untrained(scene: Scene) -> tuple[str, ...]:
-    """Return the predictors that cannot serve a scene because they need training and no file of it is known."""
+    """Return the predictors that need training and have no file for a scene."""
     if is_trained(scene.name, scene.coupling.predictor_file):
         return ()
     return tuple(kind for kind in PREDICTORS if PREDICTORS[kind].trained)
 
 
 def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
-    """Settings of a scene; without a device those of its model, with one those of its loop.
+    """Return the settings of a scene: without a device those of its model, with one those of its loop.
 
-    The quick ones are those that a scene is chosen from when nothing has been measured yet.
+    A fidelity is chosen among the quick settings if nothing has been measured yet.
     """
     if scene.device != "none":
         return list(_loops(scene, quick=quick))
     if isinstance(scene.tool, Tool):
         return list(_voxels(scene, scene.tool, quick=quick))
     if isinstance(scene.anatomy, SoftAnatomy):
-        return list(_elements(scene, scene.anatomy, quick=quick))
+        return list(_elements(scene, quick=quick))
     plain, lost = _force_only(scene)
     return [Setting("force alone" if plain else "as it is", "model", plain, lost)]
 
 
 def finest(scene: Scene, *, quick: bool) -> Changes:
-    """The finest of the grids: what loops are held to, and models where no exact geometry is known."""
+    """Return the finest grid: the reference of loops, and of models without an exact geometry."""
     return (grids(scene, quick=quick) or [{}])[-1]
 
 
 def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
-    """Lengths of three grids over those of a scene, coarse to fine; none where there is no grid."""
+    """Return the lengths of three grids over those of a scene, coarse to fine; none where there is no grid."""
     if isinstance(scene.tool, Tool):
         return VOXEL_SHARES[quick]
     return TET_SHARES[quick] if isinstance(scene.anatomy, SoftAnatomy) else ()
 
 
 def grids(scene: Scene, *, quick: bool) -> list[Changes]:
-    """Those grids, by the most accurate method."""
+    """Return the three grids, with the most accurate method."""
     best: dict[str, object] = {"organ.order": 2, "organ.path": "condensed"}
     if isinstance(scene.tool, Tool):
         best = {"voxels.removal": "subvoxel"}
@@ -107,19 +120,49 @@ def grids(scene: Scene, *, quick: bool) -> list[Changes]:
 
 
 def refined(scene: Scene, share: float) -> dict[str, object]:
-    """All lengths of the scene's grid times a share, and no field that no force depends on."""
+    """Return all lengths of the scene's grid times a share, without fields that no force depends on."""
     lengths: dict[str, float] = {}
     if isinstance(scene.tool, Tool):
         lengths = {"voxels.spacing_mm": scene.voxels.spacing_mm, "tool.shell_spacing_mm": _shell_mm(scene.tool)}
     elif isinstance(scene.anatomy, SoftAnatomy):
-        organ = scene.anatomy
-        lengths = {"anatomy.touch_edge_mm": _edge_mm(scene, organ), "anatomy.edge_mm": organ.edge_mm}
-        lengths["anatomy.edge_growth"] = organ.edge_growth  # else edges away from the tool would hardly shrink
+        lengths = {"anatomy.touch_edge_mm": edge_mm(scene), "anatomy.edge_mm": scene.anatomy.edge_mm}
+        # Without it edges away from the tool would hardly shrink.
+        lengths["anatomy.edge_growth"] = scene.anatomy.edge_growth
     return _force_only(scene)[0] | {key: share * value for key, value in lengths.items()}
 
 
+def placed(scene: Scene) -> list[Scene]:
+    """Return the scene at three places where a path leads a tool on a grid, else the scene alone."""
+    if scene.device != "none" or not isinstance(scene.motion, PathMotion):
+        return [scene]
+    if isinstance(scene.tool, Tool):
+        # A peg in its hole leaves the tool half a voxel.
+        step_mm = scene.voxels.spacing_mm * (0.5 if scene.tool.peg_diameter_mm else COARSEST)
+    elif isinstance(scene.anatomy, SoftAnatomy):
+        step_mm = edge_mm(scene)
+    else:
+        return [scene]
+    return [scene, *(moved(scene, x * step_mm, y * step_mm, depth=depth) for x, y, depth in PLACES[1:])]
+
+
+def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scene:
+    """Return the scene with its path moved aside, and its part below z = 0 made deeper by a factor."""
+    assert isinstance(scene.motion, PathMotion)
+    points = np.array(scene.motion.points_mm)
+    points[:, 2] = np.where(points[:, 2] < 0.0, depth * points[:, 2], points[:, 2])
+    points[:, :2] += x_mm, y_mm
+    path = tuple((x, y, z) for x, y, z in points.round(5).tolist())
+    return scene.model_copy(update={"motion": scene.motion.model_copy(update={"points_mm": path})})
+
+
+def edge_mm(scene: Scene) -> float:
+    """Return the edge of a tetrahedron under the probe of an organ [mm]."""
+    assert isinstance(scene.anatomy, SoftAnatomy) and not isinstance(scene.tool, Tool)
+    return scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+
+
 def _force_only(scene: Scene) -> tuple[dict[str, object], str]:
-    """What leaves out all that no force depends on, and what is lost by it, in words."""
+    """Return the changes that leave out all that no force depends on, and the lost results in words."""
     changes: dict[str, object] = {"stress": None} if scene.stress is not None else {}
     if isinstance(scene.anatomy, SoftAnatomy):
         changes = {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
@@ -129,29 +172,25 @@ def _force_only(scene: Scene) -> tuple[dict[str, object], str]:
 
 
 def _shell_mm(tool: Tool) -> float:
-    """Distance of the cutter's elements."""
+    """Return the distance of the cutter's elements [mm]."""
     from tissue.models.bone.model import SHELL_ELEMENTS
 
     return tool.shell_spacing_mm or 1e3 * float((cutter_of(tool).cutting_area_m2 / SHELL_ELEMENTS) ** 0.5)
 
 
-def _edge_mm(scene: Scene, anatomy: SoftAnatomy) -> float:
-    """Edge of a tetrahedron under the tool where a scene sets none."""
-    assert not isinstance(scene.tool, Tool)
-    return anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
-
-
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
-    """Spacing, kind of removal, elements of the cutter, stress, cores."""
-    (plain, lost), base, shell = _force_only(scene), scene.voxels.spacing_mm, _shell_mm(tool)
+    """Yield settings of spacing, kind of removal, elements of the cutter, stress and cores."""
+    plain, lost = _force_only(scene)
+    base = scene.voxels.spacing_mm
+    shell = _shell_mm(tool)
     for factor in (4.0, 3.0, 2.0, 1.0) if quick else (5.0, 4.0, 3.0, 2.0, 1.5, 1.0):
         spacing = round(factor * base, 4)
         if spacing > 0.25 * tool.diameter_mm:
             continue
+        coarse: Changes = {"tool.shell_spacing_mm": round(factor * shell, 4)} if factor > 1.0 else {}
         for removal in ("subvoxel",) if quick else ("subvoxel", "binary"):
             name = f"{spacing:g} mm" + (" binary" if removal == "binary" else "")
             grid = {"voxels.spacing_mm": spacing, "voxels.removal": removal}
-            coarse: Changes = {"tool.shell_spacing_mm": round(factor * shell, 4)} if factor > 1.0 else {}
             yield Setting(name, "voxels", {**plain, **grid, **coarse}, lost)
     for factor in (2.0,) if quick else (4.0, 3.0, 2.0, 1.5):
         wide = {"tool.shell_spacing_mm": round(factor * shell, 4)}
@@ -161,17 +200,17 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         yield Setting(name, "voxels", refined(scene, share), lost, finer=True)
     if quick:
         return
-    yield Setting(f"{base:g} mm, one core", "cores", plain, lost, cores=1)
-    yield from _accelerated(plain, lost)
+    yield from _cores(f"{base:g} mm, one core", plain, lost)
     if scene.stress is not None:
         for cell in (14.0, 10.0, 8.0):
             edge = round(cell * base, 4)
             yield Setting(f"{base:g} mm, stress {edge:g} mm", "stress", {"stress.cell_mm": edge})
 
 
-def _elements(scene: Scene, anatomy: SoftAnatomy, *, quick: bool) -> Iterator[Setting]:
-    """Order and edge of tetrahedra, compliance method, cores."""
-    base, (plain, lost) = _edge_mm(scene, anatomy), _force_only(scene)
+def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
+    """Yield settings of order and edge of tetrahedra, compliance method and cores."""
+    plain, lost = _force_only(scene)
+    base = edge_mm(scene)
     linear, quadratic = ((1.0,), (2.0, 1.4, 1.0)) if quick else ((2.0, 1.4, 1.0, 0.8), (2.0, 1.7, 1.4, 1.2, 1.0))
     for order, factor in (*product((1,), linear), *product((2,), quadratic)):
         edge = round(factor * base, 3)
@@ -181,35 +220,34 @@ def _elements(scene: Scene, anatomy: SoftAnatomy, *, quick: bool) -> Iterator[Se
         return
     fine = refined(scene, 0.8) | {"organ.order": 2}
     yield Setting(f"P2 {0.8 * base:.3g} mm", "elements", fine, lost, finer=True)
-    for size in (100, 300, 1000) if scene.organ.law == "linear" else ():
-        yield Setting(f"reduced {size}", "path", plain | {"organ.path": "reduced", "organ.basis_size": size}, lost)
     if scene.organ.law == "linear":
+        for size in (100, 300, 1000):
+            yield Setting(f"reduced {size}", "path", plain | {"organ.path": "reduced", "organ.basis_size": size}, lost)
         yield Setting("lazy", "path", plain | {"organ.path": "lazy"}, lost)
-    yield Setting("one core", "cores", plain, lost, cores=1)
-    yield from _accelerated(plain, lost)
+    yield from _cores("one core", plain, lost)
 
 
-def _accelerated(plain: Changes, lost: str) -> Iterator[Setting]:
-    """The scene on every accelerator that there is."""
+def _cores(name: str, plain: Changes, lost: str) -> Iterator[Setting]:
+    """Yield the scene on one core, and on every accelerator of the machine."""
     import warp as wp
 
     import kernels  # noqa: F401  starts Warp without its greeting
 
+    yield Setting(name, "cores", plain, lost, cores=1)
     for device in wp.get_cuda_devices():
         yield Setting(str(device), "cores", plain, lost, compute=str(device))
 
 
 def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
-    """Renderer, predictor and rate of the model."""
+    """Yield settings of renderer, predictor and rate of the model."""
     plain, lost = _force_only(scene)
+    missing = untrained(scene)
     for law in RENDERERS:
         if not quick or law == "proxy":
             yield Setting(law, "loop", plain | {"renderer": law, "prediction": "none"}, lost)
-    missing = untrained(scene)
     for kind in PREDICTORS.names[1:]:
         if kind not in missing and (not quick or kind in ("kalman", "koopman")):
             yield Setting(kind, "loop", plain | {"prediction": kind}, lost)
     for kind in PREDICTORS:
-        if kind in missing or (quick and kind not in ("hold", "koopman")):
-            continue
-        yield Setting(f"100 Hz, {kind}", "loop", plain | {"prediction": kind, "coupling.model_ms": 10}, lost)
+        if kind not in missing and (not quick or kind in ("hold", "koopman")):
+            yield Setting(f"100 Hz, {kind}", "loop", plain | {"prediction": kind, "coupling.model_ms": 10}, lost)

@@ -21,20 +21,62 @@ from math import ceil, pi
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
+from meshes.shapes.anatomy import Anatomy
+from meshes.shapes.sdf import Shape
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import Arc, Piece
-from tissue.evaluation.reference.convex_part import convex_parts
-from tissue.evaluation.reference.path import ToolPath
-from tissue.evaluation.reference.solid import Solid
+from tissue.evaluation.reference.path import ToolPath, convex_parts
+from tissue.materials.constants import CuttingCoefficients
 
-__all__ = ["Resolution", "wrench_at"]
+__all__ = ["Resolution", "Solid", "wrench_at"]
 
-Array = NDArray[np.float64]
 GAUSS = 0.5 / 3.0**0.5
 """Gauss points lie this far from the middle of a cell of length 1."""
 TOUCHING_M = 1e-11
 """Surface this close to an older cut lies on it, and meets nothing [m]."""
 CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
+
+
+@dataclass(frozen=True)
+class Solid:
+    """An anatomy that a tool cuts.
+
+    Attributes
+    ----------
+    anatomy
+        Its surface and layers as functions of position.
+    coefficients
+        Cutting coefficients of each layer, in the order of the anatomy's names.
+    minus
+        What was drilled out of it before the run; None where nothing was.
+    """
+
+    anatomy: Anatomy
+    coefficients: tuple[CuttingCoefficients, ...]
+    minus: Shape | None = None
+
+    def distance(self, points: Array) -> Array:
+        """Bound of the signed distance [m], shape (n,), negative inside, of points [m], shape (n, 3)."""
+        distance = np.asarray(self.anatomy.shape.distance(points), dtype=np.float64)
+        return distance if self.minus is None else np.maximum(distance, -self.minus.distance(points))
+
+    def layer(self, points: Array) -> NDArray[np.uint8]:
+        """Layer, shape (n,), of points [m], shape (n, 3)."""
+        return self.anatomy.classify(points, -self.anatomy.shape.distance(points))[0]
+
+    def strengths(self, points: Array) -> Array:
+        """Chip and edge coefficients, shape (6, n): tangential, radial, axial chip [Pa], then edge [N/m].
+
+        Each is that of the point's layer times (density / reference density) ** exponent of the layer.
+        """
+        layer, density = self.anatomy.classify(points, -self.anatomy.shape.distance(points))
+        names = CuttingCoefficients.CHIP + CuttingCoefficients.EDGE
+        table = np.array([[getattr(each, name) for each in self.coefficients] for name in names])
+        reference = np.array([each.reference_density_kg_m3 for each in self.coefficients])
+        exponent = np.array([each.density_exponent for each in self.coefficients])
+        scale = (np.asarray(density, dtype=np.float64) / reference[layer]) ** exponent[layer]
+        return np.asarray(table[:, layer] * scale)
 
 
 @dataclass(frozen=True)
@@ -96,10 +138,14 @@ class _AtTick:
     """The integral over the surface at one tick, in the tool's frame."""
 
     def __init__(self, tick: int, path: ToolPath, cutter: Cutter, solid: Solid) -> None:
-        self.tick, self.path, self.cutter, self.solid = tick, path, cutter, solid
+        self.tick = tick
+        self.path = path
+        self.cutter = cutter
+        self.solid = solid
         self.parts = convex_parts(cutter.profile)
         rotation = path.rotations[tick]
-        self.velocity, self.turning = path.velocities[tick] @ rotation, path.turnings[tick] @ rotation
+        self.velocity = path.velocities[tick] @ rotation
+        self.turning = path.turnings[tick] @ rotation
 
     def wrench_on(self, piece: Piece, resolution: Resolution) -> Array:
         """Force [N] and torque [N m] on one piece of the profile, shape (6,)."""
@@ -138,10 +184,14 @@ class _AtTick:
         world = self.path.in_world(self.tick, points[kept])
         depth = self.solid.distance(world)
         inside = depth < reach[kept]
-        kept, world, depth = kept[inside], world[inside], depth[inside]
+        kept = kept[inside]
+        world = world[inside]
+        depth = depth[inside]
         swept = self.path.swept_distance(self.tick, self.parts, world, within=reach[kept])
         left = swept > -reach[kept]
-        kept, depth, swept = kept[left], depth[left], swept[left]
+        kept = kept[left]
+        depth = depth[left]
+        swept = swept[left]
         cells = _Cells(cells.middle[kept], cells.size[kept])
         smooth = (advance[kept] > change[kept]) & (depth < -reach[kept]) & (swept > reach[kept])
         if len(self.solid.coefficients) > 1:
@@ -167,8 +217,12 @@ class _AtTick:
             within = np.full(len(found), 2.0 * TOUCHING_M)
             swept = self.path.swept_distance(self.tick, self.parts, world[found], within=within)
             found = found[swept > TOUCHING_M]
-            points, normals, around = points[found], normals[found], around[found]
-            weights, advance, world = weights[found], advance[found], world[found]
+            points = points[found]
+            normals = normals[found]
+            around = around[found]
+            weights = weights[found]
+            advance = advance[found]
+            world = world[found]
         if len(points) == 0:
             return np.zeros(6)
         chip = advance * self.cutter.chip_per_speed_s
@@ -183,7 +237,8 @@ class _AtTick:
 def _surface(piece: Piece, at: Array) -> tuple[Array, Array, Array]:
     """Points [m], outward normals and directions of growing phi, each shape (n, 3), at (s, phi), shape (n, 2)."""
     section, outward = piece.at(at[:, 0] / piece.length_m)
-    cosine, sine = np.cos(at[:, 1]), np.sin(at[:, 1])
+    cosine = np.cos(at[:, 1])
+    sine = np.sin(at[:, 1])
     points = np.column_stack([section[:, 0] * cosine, section[:, 0] * sine, section[:, 1]])
     normals = np.column_stack([outward[:, 0] * cosine, outward[:, 0] * sine, outward[:, 1]])
     return points, normals, np.column_stack([-sine, cosine, np.zeros(len(at))])

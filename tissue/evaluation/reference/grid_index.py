@@ -13,21 +13,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.evaluation.reference.error import means_over_50_ms
+from tissue.evaluation.reference.history import means_over_50_ms
 
 __all__ = ["GridIndex", "Order", "grid_index", "observed_order"]
 
-Array = NDArray[np.float64]
 FORMAL_ORDER = 2.0
 """Order of the force in the spacing, and the highest that an index is computed with."""
 ASYMPTOTIC = 0.5, 2.2
 """Observed orders taken as asymptotic: from 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130) to a tenth above
 the formal one (Oberkampf and Roy 2010, Verification and Validation in Scientific Computing)."""
-SAFETY, SAFETY_OUTSIDE = 1.25, 3.0
+SAFETY = 1.25
+SAFETY_OUTSIDE = 3.0
 """Roache's safety factors, within the asymptotic range and outside it."""
 STEEPEST = 30.0
 """Highest order that is looked for, either sign; beyond it is infinite."""
@@ -54,7 +54,7 @@ class Order:
 
     @property
     def asymptotic(self) -> bool:
-        """Whether the observed order is one that an extrapolation may rest on; three equal forces are."""
+        """Whether an extrapolation may use the observed order, or three forces are equal."""
         return np.isnan(self.order) or ASYMPTOTIC[0] <= self.order <= ASYMPTOTIC[1]
 
 
@@ -79,7 +79,7 @@ class GridIndex:
 
 
 def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> GridIndex:
-    """Grid-convergence index of the forces of one motion on three grids.
+    """Compute the grid-convergence index of the forces of one motion on three grids.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> GridInde
 
 
 def _convergence(forces: Sequence[Array], spacings: tuple[float, ...]) -> Order:
-    """Observed order and index, grids coarsest first."""
+    """Return observed order and index, grids coarsest first."""
     coarse, middle, fine = forces
     size = max(float(np.linalg.norm(fine)), 1e-300)
     distance = tuple(float(np.linalg.norm(force - fine)) / size for force in forces)
@@ -125,7 +125,7 @@ def _convergence(forces: Sequence[Array], spacings: tuple[float, ...]) -> Order:
 
 
 def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> float:
-    """Order p at which differences ``coarse`` (h3 to h2) and ``fine`` (h2 to h1) lie with an error C h^p.
+    """Return the order p at which differences ``coarse`` (h3 to h2) and ``fine`` (h2 to h1) lie with an error C h^p.
 
     Parameters
     ----------

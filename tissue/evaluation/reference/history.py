@@ -1,4 +1,4 @@
-"""The reference force of a whole run: evaluated at the ticks that matter, interpolated between them, kept on disk."""
+"""Reference force of a whole run, interpolated between evaluated ticks and kept on disk, and errors against it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,30 +6,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
 from tissue.builders.cutting import cutter_of
 from tissue.builders.registry import motion_of
 from tissue.builders.voxels import is_procedural, solid_of
 from tissue.cutters.cutter import Cutter
-from tissue.evaluation.reference.force import Resolution, wrench_at
+from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
 from tissue.evaluation.reference.path import ToolPath
-from tissue.evaluation.reference.solid import Solid
+from tissue.evaluation.statistics.metrics import force_error
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.trace import Table
 
 __all__ = [
-    "ReferenceForce",
-    "force_on_path",
-    "has_exact_geometry",
-    "path_of_trace",
-    "reference_force",
-    "solid_of_scene",
-]
+    "ForceError", "ReferenceForce", "error_of_force", "force_on_path", "has_exact_geometry", "means_over_50_ms",
+    "path_of_trace", "reference_force", "solid_of_scene",
+]  # fmt: skip
 
-Array = NDArray[np.float64]
 COARSEST_TICKS = 32
 """Ticks between two evaluations at the most."""
 INTERPOLATION = 2e-3
@@ -39,6 +35,8 @@ JUMP = 0.05
 """Share of the speed by which the velocity jumps from one tick to the next where the force may jump too."""
 CHECKED = 32
 """Ticks at which the reference is evaluated anew, twice as fine, for its own uncertainty."""
+WINDOW_TICKS = 50
+"""Ticks of a mean over 50 ms."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +64,30 @@ class ReferenceForce:
         return self.wrench[:, :3]
 
 
+@dataclass(frozen=True)
+class ForceError:
+    """Error of a force against the reference, relative to the reference.
+
+    Attributes
+    ----------
+    over_ticks
+        ||F - F_ref|| / ||F_ref|| over all ticks.
+    over_50_ms
+        Error of means over 50 ms.
+    bias
+        Mean over the contact of the error along the reference force, by the mean size of the reference force.
+    reference_uncertainty
+        Error of the reference itself, as `over_ticks`.
+    """
+
+    over_ticks: float
+    over_50_ms: float
+    bias: float
+    reference_uncertainty: float
+
+
 def path_of_trace(trace: Table, cutter: Cutter) -> ToolPath:
-    """Poses and velocities of a run's tool."""
+    """Return poses and velocities of a run's tool."""
     low, high = cutter.profile.height_range_m
     return ToolPath.from_quaternions(
         1e-3 * trace.vectors("tool", "mm"),
@@ -84,7 +104,7 @@ def has_exact_geometry(scene: Scene) -> bool:
 
 
 def solid_of_scene(scene: Scene) -> Solid:
-    """What a scene's tool cuts, as functions of position; refuses an anatomy from a file."""
+    """Return the solid that a scene's tool cuts, as functions of position; refuse an anatomy from a file."""
     anatomy, minus = solid_of(scene, motion_of(scene, step_s=TICK_S))
     changes = scene.cutting.model_dump(exclude={"material"})
     layers = scene.constants.coefficients(anatomy.layer_names, changes, bone=scene.cutting.material)
@@ -94,7 +114,7 @@ def solid_of_scene(scene: Scene) -> Solid:
 def reference_force(
     scene: Scene, trace: Table, *, resolution: Resolution | None = None, progress: Progress | None = None
 ) -> ReferenceForce:
-    """Force of the exact geometry on the motion of a run, computed once for each motion, anatomy and tool.
+    """Compute the force of the exact geometry on the motion of a run, once for each motion, anatomy and tool.
 
     Raises
     ------
@@ -103,7 +123,8 @@ def reference_force(
     """
     assert isinstance(scene.tool, Tool)
     cutter = cutter_of(scene.tool)
-    path, solid = path_of_trace(trace, cutter), solid_of_scene(scene)
+    path = path_of_trace(trace, cutter)
+    solid = solid_of_scene(scene)
     kept_by = (scene.bone, scene.tool.model_copy(update={"shell_spacing_mm": None}), solid.coefficients)
     return force_on_path(path, cutter, solid, kept_by=kept_by, resolution=resolution, progress=progress)
 
@@ -117,14 +138,15 @@ def force_on_path(
     resolution: Resolution | None = None,
     progress: Progress | None = None,
 ) -> ReferenceForce:
-    """Force of the exact geometry on a path.
+    """Compute the force of the exact geometry on a path.
 
     Parameters
     ----------
     kept_by
-        What the cutter and the solid are known by: with the path the key of the cache. Without it nothing is kept.
+        Identification of cutter and solid: with the path the key of the cache. Without it nothing is kept.
     """
-    fine, report = resolution or Resolution(), progress or silent
+    fine = resolution or Resolution()
+    report = progress or silent
 
     def make() -> dict[str, NDArray[np.generic]]:
         """Wrench [N], [N m] at every tick, its relative error at some of them, and how many ticks were evaluated."""
@@ -146,17 +168,19 @@ def force_on_path(
 
 
 def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath, report: Progress) -> tuple[Array, NDArray[np.bool_]]:
-    """Wrench at every tick, shape (n, 6), and whether it was evaluated there, shape (n,).
+    """Compute the wrench at every tick, shape (n, 6), and whether it was evaluated there, shape (n,).
 
     Every stretch without a jump is halved until lines between the evaluations meet the tick between them.
     """
     count = len(path.tips_m)
-    wrench, known = np.zeros((count, 6)), np.zeros(count, dtype=bool)
+    wrench = np.zeros((count, 6))
+    known = np.zeros(count, dtype=bool)
     share = 0.0
 
     def at(tick: int) -> Array:
         if not known[tick]:
-            wrench[tick], known[tick] = evaluate(tick), True
+            wrench[tick] = evaluate(tick)
+            known[tick] = True
         return wrench[tick, :3]
 
     waiting: list[tuple[int, int]] = []
@@ -185,7 +209,7 @@ def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath, report: Progre
 
 
 def _stretches(path: ToolPath) -> list[tuple[int, int]]:
-    """First and last ticks of the parts of a path in which the velocity does not jump: nor does the force there."""
+    """Return first and last ticks of the parts of a path without jumps of the velocity, and thus of the force."""
     motion = np.hstack([path.velocities, path.reach_m * path.turnings])
     speed = np.linalg.norm(motion, axis=1)
     jumps = np.linalg.norm(np.diff(motion, axis=0), axis=1) > JUMP * np.maximum(speed[1:], speed[:-1])
@@ -197,3 +221,23 @@ def _fill(wrench: Array, known: NDArray[np.bool_], first: int, last: int) -> Non
     """Interpolate between two evaluated ticks."""
     share = (np.arange(first + 1, last) - first)[:, None] / (last - first)
     wrench[first + 1 : last] = wrench[first] + share * (wrench[last] - wrench[first])
+
+
+def error_of_force(force_N: Array, reference: ReferenceForce) -> ForceError:
+    """Return the error of a force at every tick [N], shape (n, 3)."""
+    wanted = reference.force_N
+    size = np.linalg.norm(wanted, axis=1)
+    contact = size > 0.0
+    along = ((force_N - wanted)[contact] * wanted[contact]).sum(axis=1) / size[contact]
+    return ForceError(
+        force_error(force_N, wanted),
+        force_error(means_over_50_ms(force_N), means_over_50_ms(wanted)),
+        float(along.sum() / max(size.sum(), 1e-300)),
+        reference.uncertainty,
+    )
+
+
+def means_over_50_ms(values: Array) -> Array:
+    """Return means over 50 ms, shape (n // 50, 3); of a shorter run, its mean."""
+    count = max(len(values) // WINDOW_TICKS, 1)
+    return np.array([part.mean(axis=0) for part in np.split(values[: count * WINDOW_TICKS], count)])

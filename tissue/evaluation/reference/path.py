@@ -1,18 +1,143 @@
-"""The path of a tool as legs, along each of which a point of the world goes straight through the tool's frame."""
+"""Path of a tool through a solid: convex parts of the tool, and the distance from what they have swept.
+
+The distance to a convex body is a convex function, so along a straight path it has one minimum, which golden-section
+search brackets. That of a ball is the distance of its centre to the path, less its radius.
+"""
 
 from dataclasses import dataclass, field
+from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tissue.evaluation.reference.convex_part import ConvexPart
+from meshes.base.arrays import Array
+from tissue.cutters.profile import Arc, Line, Piece, Profile
 
-__all__ = ["ToolPath"]
+__all__ = ["ConvexPart", "ToolPath", "convex_parts"]
 
-Array = NDArray[np.float64]
+GOLDEN = 0.6180339887498949
+RESOLUTION_M = 1e-12
+"""Length to which the nearest place on a path is bracketed [m]."""
 STRAIGHT_M = 5e-9
-"""How far a point's path through the tool's frame may bend within a leg [m]."""
+"""Largest bend of a point's path through the tool's frame within a leg [m]."""
+
+
+@dataclass(frozen=True)
+class ConvexPart:
+    """A convex body of revolution about z, bounded by the pieces of its half section.
+
+    Attributes
+    ----------
+    pieces
+        From the axis at the bottom to the axis at the top.
+    ball
+        Whether it is one ball.
+    """
+
+    pieces: tuple[Piece, ...]
+    ball: bool
+
+    @property
+    def bounding_ball(self) -> tuple[float, float]:
+        """Height of the centre and radius of a ball that holds the body [m]."""
+        share = np.linspace(0.0, 1.0, 65)
+        outline = np.concatenate([piece.at(share)[0] for piece in self.pieces])
+        centre = 0.5 * float(outline[:, 1].min() + outline[:, 1].max())
+        slack = 1e-3 * float(np.abs(outline).max())  # what an arc bulges between its samples, and more
+        return centre, float(np.hypot(outline[:, 0], outline[:, 1] - centre).max()) + slack
+
+    def distance(self, points: Array) -> Array:
+        """Signed distance [m], shape (n,), negative inside, of points in the tool's frame [m], shape (n, 3)."""
+        section = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
+        seen = [_seen(piece, section) for piece in self.pieces]
+        lengths, sides = (np.stack(values) for values in zip(*seen, strict=True))
+        least = lengths.min(axis=0)
+        # At a corner two pieces are equally near; in front of either is outside.
+        outside = ((lengths <= least + 1e-12) & (sides > 0.0)).any(axis=0)
+        return np.where(outside, least, -least)
+
+    def least_on_path(self, start: Array, end: Array, *, within: Array) -> Array:
+        """Least signed distance while points go straight from ``start`` to ``end``, both shape (n, 3) [m].
+
+        Values above ``within``, shape (n,) [m], may come out smaller than they are, but never below it.
+        """
+        height, radius = self.bounding_ball
+        bound = _to_segment(np.array([0.0, 0.0, height]), start, end) - radius
+        if self.ball:
+            arc = self.pieces[0]
+            assert isinstance(arc, Arc)
+            return _to_segment(np.array([0.0, 0.0, arc.centre[1]]), start, end) - arc.radius
+        near = np.flatnonzero(bound < within)
+        if len(near):
+            bound[near] = self._search(start[near], end[near] - start[near])
+        return bound
+
+    def _search(self, start: Array, along: Array) -> Array:
+        """Golden-section search for the least distance at ``start + share along``, share in [0, 1]."""
+        low = np.zeros(len(start))
+        high = np.ones(len(start))
+        longest = float(np.linalg.norm(along, axis=1).max())
+        ends = np.minimum(self.distance(start), self.distance(start + along))
+        left = high - GOLDEN
+        right = low + GOLDEN
+        at_left = self.distance(start + left[:, None] * along)
+        at_right = self.distance(start + right[:, None] * along)
+        for _ in range(max(int(np.log(max(longest, RESOLUTION_M) / RESOLUTION_M) / -np.log(GOLDEN)), 1)):
+            lower = at_left < at_right
+            low = np.where(lower, low, left)
+            high = np.where(lower, right, high)
+            width = GOLDEN * (high - low)
+            kept = np.where(lower, left, right)
+            at_kept = np.where(lower, at_left, at_right)
+            new = np.where(lower, high - width, low + width)
+            at_new = self.distance(start + new[:, None] * along)
+            left = np.where(lower, new, kept)
+            right = np.where(lower, kept, new)
+            at_left = np.where(lower, at_new, at_kept)
+            at_right = np.where(lower, at_kept, at_new)
+        return np.minimum(ends, np.minimum(at_left, at_right))
+
+
+def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
+    """The convex parts that a cutter is the union of; the first is the one that cuts."""
+    pieces = profile.pieces
+    if profile.convex:
+        arc = pieces[0]
+        ball = len(pieces) == 1 and isinstance(arc, Arc) and arc.last - arc.first > pi - 1e-9
+        return (ConvexPart(pieces, ball),)
+    first = next(k for k, piece in enumerate(pieces) if piece.cutting)
+    foot = pieces[first].at(np.zeros(1))[0][0]
+    bottom = Line((0.0, float(foot[1])), (float(foot[0]), float(foot[1])), False)
+    lid = Line((float(foot[0]), float(foot[1])), (0.0, float(foot[1])), False)
+    return ConvexPart((bottom, *pieces[first:]), False), ConvexPart((*pieces[:first], lid), False)
+
+
+def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
+    """Distance [m] from a piece, and the component along its normal [m] of the line to it from its nearest point."""
+    if isinstance(piece, Arc):
+        out = points - np.asarray(piece.centre)
+        middle = 0.5 * (piece.first + piece.last)
+        half = 0.5 * (piece.last - piece.first)
+        turn = (np.arctan2(out[:, 1], out[:, 0]) - middle + pi) % (2.0 * pi) - pi
+        angle = middle + np.clip(turn, -half, half)
+        normal = np.column_stack([np.cos(angle), np.sin(angle)])
+        away = out - piece.radius * normal
+        return np.hypot(away[:, 0], away[:, 1]), (away * normal).sum(axis=1)
+    start = np.asarray(piece.start)
+    end = np.asarray(piece.end)
+    along = (end - start) / piece.length_m
+    reach = np.clip((points - start) @ along, 0.0, piece.length_m)
+    away = points - start - reach[:, None] * along
+    return np.hypot(away[:, 0], away[:, 1]), away @ np.array([along[1], -along[0]])
+
+
+def _to_segment(point: Array, start: Array, end: Array) -> Array:
+    """Distance [m] of one point, shape (3,), from segments with ends of shape (n, 3)."""
+    along = end - start
+    squared = np.maximum((along * along).sum(axis=1), 1e-300)
+    share = np.clip(((point - start) * along).sum(axis=1) / squared, 0.0, 1.0)
+    return np.linalg.norm(start + share[:, None] * along - point, axis=1)
 
 
 @dataclass(frozen=True)
@@ -72,7 +197,8 @@ class ToolPath:
             present = bool(end >= tick)
             if present and len(parts) == 1:
                 continue
-            begins, ends = self.in_tool(start, points), self.in_tool(min(end, tick), points)
+            begins = self.in_tool(start, points)
+            ends = self.in_tool(min(end, tick), points)
             for part in parts[1:] if present else parts:
                 np.minimum(distance, part.least_on_path(begins, ends, within=within), out=distance)
         return distance
@@ -83,10 +209,12 @@ class ToolPath:
         legs: list[tuple[int, int]] = []
         start = 0
         while start < last:
-            end, step = start + 1, 1
+            end = start + 1
+            step = 1
             while step:  # the step doubles while the leg stays straight, then halves: few trials for long legs
                 if end + step <= last and self._is_straight(start, end + step):
-                    end, step = end + step, 2 * step
+                    end = end + step
+                    step = 2 * step
                 else:
                     step //= 2
             legs.append((start, end))

@@ -1,6 +1,6 @@
-"""Extended dynamic mode decomposition with inputs, over many episodes."""
+"""Extended dynamic mode decomposition with inputs over many episodes, and its errors over the horizon."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,11 +8,13 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.prediction.edmd.dictionary import Dictionary
-from tissue.prediction.edmd.episodes import STILL, Episode, blocks, check_episodes
+from tissue.prediction.edmd.episodes import BLOCK, STILL, Episode, blocks, check_episodes, window
 from tissue.prediction.edmd.lifted import FitStatistics, Generator, LiftedMap, Operator
-from tissue.prediction.edmd.regression import regress, triangle
 
-__all__ = ["Edmd"]
+__all__ = ["Edmd", "HorizonErrors", "Regression", "horizon_errors", "regress", "triangle"]
+
+DEPENDENT = 1e-13
+"""Singular values below this share of the largest are rounding of the factor: their columns depend on the others."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Edmd:
     rank
         Singular values of the scaled data to keep; None for all.
     cap
-        Largest size that eigenvalues are left with (`tissue.prediction.edmd.spectrum`); None to leave them.
+        Largest size that eigenvalues are left with (`tissue.prediction.edmd.lifted`); None to leave them.
     offset
         Whether to centre and to fit an offset; without, zero maps to zero.
     """
@@ -71,11 +73,13 @@ class Edmd:
 
     def _fit(self, episodes: list[Episode], *, rates: bool) -> LiftedMap:
         """The map, in the units of the observables."""
-        state_size, lead = episodes[0].states.shape[1], int(self.offset)
+        state_size = episodes[0].states.shape[1]
+        lead = int(self.offset)
         count = self.dictionary.size(state_size)
         carried = 0 if rates else self.dictionary.lags * state_size
         factor, samples = triangle(_rows(episodes, self.dictionary, lead, rates))
-        ones, known = factor[:, :lead].sum(axis=1, keepdims=True), factor.shape[1] - (count - carried)
+        ones = factor[:, :lead].sum(axis=1, keepdims=True)
+        known = factor.shape[1] - (count - carried)
         middle = factor[0, lead:known] / factor[0, 0] * self.offset
         spread = np.sqrt((factor[lead:, lead:known] ** 2).sum(axis=0) / samples)
         scale = np.where(spread > STILL * np.abs(middle), spread, 1.0)
@@ -87,7 +91,8 @@ class Edmd:
         targets = factor[:, columns] if rates else factor[:, columns] - ones * middle[kept]
         scaled = ((factor[:, lead:known] - ones * middle) / scale, factor[:, :lead], targets / scale[kept])
         found = regress(np.hstack(scaled), samples, size=known, ridge=self.ridge, rank=self.rank, free=lead)
-        weights, size = found.weights.T, len(scale)
+        weights = found.weights.T
+        size = len(scale)
         A = weights[:, :count] * scale[kept, None] / scale[kept]
         B = weights[:, count:size] * scale[kept, None] / scale[count:]
         constant = weights[:, size] * scale[kept] if self.offset else np.zeros(count)
@@ -139,3 +144,167 @@ def _rows(episodes: list[Episode], dictionary: Dictionary, lead: int, rates: boo
             else:
                 after = [dictionary.lift_rates(windows, next(slopes)[0])[:-1]]
             yield np.hstack((np.ones((len(inputs), lead)), lifted[:-1], inputs, *after))
+
+
+@dataclass(frozen=True)
+class Regression:
+    """What least squares gave.
+
+    Attributes
+    ----------
+    weights
+        Shape (p, q): targets are about regressors @ weights.
+    residual_rms
+        Root mean square of what is left of each target, shape (q,).
+    moments
+        Mean outer product of the regressors, shape (p, p).
+    rank, condition
+        Singular values kept; largest over smallest of them.
+    samples
+        Rows seen.
+    """
+
+    weights: Array
+    residual_rms: Array
+    moments: Array
+    rank: int
+    condition: float
+    samples: int
+
+
+def triangle(blocks: Iterable[Array]) -> tuple[Array, int]:
+    """Triangular factor of rows (k, c) that come in blocks, shape (c, c), and the number of rows.
+
+    Block by block (Golub & Van Loan 2013, section 5.3), which keeps the digits that a Gram matrix, having the condition
+    number squared, would lose. Sums of squares and products of any combination of columns are those of the factor's.
+    """
+    factor = np.zeros((0, 0))
+    samples = 0
+    for rows in blocks:
+        samples += len(rows)
+        factor = np.asarray(np.linalg.qr(np.vstack((factor, rows)) if len(factor) else rows, mode="r"))
+    return np.pad(factor, ((0, factor.shape[1] - len(factor)), (0, 0))), samples
+
+
+def regress(factor: Array, samples: int, *, size: int, ridge: float, rank: int | None, free: int) -> Regression:
+    """Weights that minimise Σ|target - regressors weights|² + ridge · samples · |weights|².
+
+    Parameters
+    ----------
+    factor
+        Of [regressors targets] by `triangle`, or columns combined from one: below its first `size` rows the
+        regressors are zero. Regressors are scaled to about one.
+    samples
+        Rows that the factor stands for.
+    size
+        Number of regressors.
+    ridge
+        Weight of the penalty, at least 0.
+    rank
+        Singular values to keep, or None for all.
+    free
+        Number of the last regressors that the penalty leaves alone.
+
+    Raises
+    ------
+    InputError
+        If there are fewer rows than regressors, or, without ridge and rank, a regressor
+        depends on the others.
+    """
+    if rank is not None and not 1 <= rank <= size:
+        raise InputError(f"rank must be in [1, {size}], the number of regressors, got {rank}: leave it out to keep all")
+    matrix = factor[:size, :size]
+    right = factor[:size, size:]
+    rest = factor[size:, size:]
+    penalty = np.diag(np.sqrt(ridge * samples * (np.arange(size) < size - free)))
+    left, values, right_vectors = np.linalg.svd(np.vstack((matrix, penalty)) if ridge > 0.0 else matrix, False)
+    kept = size if rank is None else rank
+    if values[kept - 1] <= DEPENDENT * values[0]:
+        if rank is None and samples < size:
+            raise InputError(
+                f"episodes must hold at least {size} samples, got {samples}: record more, or set ridge=1e-6"
+            )
+        index = int(np.abs(right_vectors[-1]).argmax())
+        raise InputError(
+            f"observables and inputs must be independent, got number {index} as a combination of the others or always "
+            "zero: leave it out, or set ridge=1e-8 or a lower rank"
+        )
+    projected = left[:size, :kept].T @ right
+    weights = right_vectors[:kept].T @ (projected / values[:kept, None])
+    missed = right - matrix @ weights
+    squares = (missed**2).sum(axis=0) + (rest**2).sum(axis=0)
+    return Regression(
+        weights=weights,
+        residual_rms=np.sqrt(squares / samples),
+        moments=matrix.T @ matrix / samples,
+        rank=kept,
+        condition=float(values[0] / values[kept - 1]),
+        samples=samples,
+    )
+
+
+@dataclass(frozen=True)
+class HorizonErrors:
+    """Errors of predictions 1 to h steps ahead, all from the same starts.
+
+    Attributes
+    ----------
+    rms
+        Root mean square over the starts of each state entry's error, in its unit, shape (h, d); inf where it diverges.
+    relative
+        The same in training deviations of the entries, root mean square over those looked at, shape (h,).
+    starts
+        Number of predictions.
+    """
+
+    rms: Array
+    relative: Array
+    starts: int
+
+
+def horizon_errors(
+    operator: Operator, episodes: Sequence[Episode], horizon: int, *, columns: Sequence[int] = ()
+) -> HorizonErrors:
+    """Compare predictions 1 to `horizon` steps ahead, inputs known, with what followed, from every possible start.
+
+    Parameters
+    ----------
+    horizon
+        Steps ahead, at least 1.
+    columns
+        State entries that `relative` looks at; empty for all.
+
+    Raises
+    ------
+    InputError
+        If an episode cannot be used, or none is long enough for the horizon.
+    """
+    lags = operator.dictionary.lags
+    size = operator.state_size
+    ready = check_episodes(episodes, lags, varying=False)
+    squares = np.zeros((horizon, size))
+    starts = 0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for episode in ready:
+            states = episode.states
+            windows = window(episode.states, lags)
+            count = len(states) - lags - horizon
+            for first in range(0, count, BLOCK):
+                last = min(first + BLOCK, count)
+                lifted = operator.dictionary.lift(windows[first:last])
+                for step in range(horizon):
+                    now = slice(lags + first + step, lags + last + step)
+                    inputs = None if episode.inputs is None else episode.inputs[now]
+                    lifted = operator.advance(lifted, inputs)
+                    missed = lifted[:, :size] - states[now.start + 1 : now.stop + 1]
+                    squares[step] += (missed**2).sum(axis=0)
+                starts += last - first
+        if starts == 0:
+            raise InputError(
+                f"episodes must be longer than {lags + horizon} rows for this horizon, got none: shorten it"
+            )
+        rms = np.sqrt(squares / starts)
+        rms[~np.isfinite(rms)] = np.inf
+        chosen = list(columns) if len(columns) else slice(None)
+        relative = np.sqrt(((rms / operator.scale[:size])[:, chosen] ** 2).mean(axis=1))
+    return HorizonErrors(rms, relative, starts)

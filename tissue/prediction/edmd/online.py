@@ -38,9 +38,11 @@ class Online:
     def __init__(self, operator: Operator, *, forgetting: float = 0.999, gain_limit: float = 1.0) -> None:
         require_range("forgetting", forgetting, 0.5, 1.0, "use 0.999")
         require_positive("gain_limit", gain_limit, "use 1")
-        self._start, self._forgetting = operator, float(forgetting)
+        self._start = operator
+        self._forgetting = float(forgetting)
         count, inputs = operator.B.shape
-        self._count, self._size = count, len(operator.moments)
+        self._count = count
+        self._size = len(operator.moments)
         self._middle = np.concatenate((operator.middle, operator.input_middle))
         self._scale = np.concatenate((operator.scale, operator.input_scale))
         rows = operator.scale[:, None]
@@ -48,7 +50,8 @@ class Online:
         if self._size > count + inputs:
             moved = operator.A @ operator.middle + operator.B @ operator.input_middle + operator.offset
             self._weights = np.hstack((self._weights, (moved - operator.middle)[:, None] / rows))
-        largest, cycle = 4.0 * gain_limit**2, self._forgetting**self._size
+        largest = 4.0 * gain_limit**2
+        cycle = self._forgetting**self._size
         self._leak = (1.0 - cycle) / (cycle * largest)
         memory = operator.statistics.samples
         if forgetting < 1.0:
@@ -57,7 +60,8 @@ class Online:
         covariance = np.linalg.inv(information)
         self._covariance = 0.5 * (covariance + covariance.T)
         self._regressors = np.ones(self._size)
-        self._square, self._change = np.empty((self._size, self._size)), np.empty_like(self._weights)
+        self._square = np.empty((self._size, self._size))
+        self._change = np.empty_like(self._weights)
         self._turn = 0
 
     def update(self, lifted: Array, inputs: Array | None, lifted_after: Array) -> float:
@@ -96,7 +100,8 @@ class Online:
         InputError
             If the cap is not positive.
         """
-        start, count = self._start, self._count
+        start = self._start
+        count = self._count
         rows = start.scale[:, None]
         raw = self._weights[:, : len(self._scale)] * rows / self._scale
         constant = np.zeros(count)

@@ -15,16 +15,22 @@ from meshes.base.file_limits import read_npz
 from meshes.base.file_version import package_version, require_version
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import whole_file
-from tissue.prediction.edmd.dictionary import Delays, Dictionary, Identity
-from tissue.prediction.edmd.gap_products import GapProducts
+from tissue.prediction.edmd.dictionary import (
+    Delays,
+    Dictionary,
+    GapProducts,
+    Gaussians,
+    Identity,
+    Polynomials,
+    ThinPlates,
+)
 from tissue.prediction.edmd.lifted import FitStatistics, Operator
-from tissue.prediction.edmd.polynomials import Polynomials
-from tissue.prediction.edmd.radial import Gaussians, ThinPlates
 from tissue.system.outputs import require_new_file
 
 __all__ = ["VERSION", "StoredPredictor", "from_plain", "read_predictor", "to_plain", "write_predictor"]
 
-FORMAT, VERSION = "tissue predictor", 2
+FORMAT = "tissue predictor"
+VERSION = 2
 ARRAYS = ("A", "B", "offset", "middle", "scale", "input_middle", "input_scale", "moments")
 BOX = ("lowest", "highest")
 """Arrays of an operator, and those that a file keeps as of its training."""
@@ -149,7 +155,8 @@ def _operator(name: str, plain: Mapping[str, Any], arrays: Mapping[str, Array]) 
     given = {key: arrays[f"{name}.{key}"] for key in ARRAYS}
     dictionary = from_plain(plain["dictionary"])
     given |= {key: arrays[f"{name}.training.{key}"] for key in BOX}
-    count, inputs = dictionary.size(len(given["lowest"])), len(given["input_scale"])
+    count = dictionary.size(len(given["lowest"]))
+    inputs = len(given["input_scale"])
     shapes = {"A": (count, count), "B": (count, inputs), "offset": (count,), "middle": (count,), "scale": (count,)}
     shapes |= {"input_middle": (inputs,), "highest": given["lowest"].shape}
     for key, shape in shapes.items():
