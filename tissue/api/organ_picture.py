@@ -88,7 +88,7 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
     options
         Those of ``pyvista.Plotter.show``; ``off_screen`` and ``notebook`` are the plotter's.
     """
-    from tissue.figures.style import OTHER_LAYERS
+    from tissue.figures.figure import OTHER_LAYERS
 
     grid, names = organ.mesh, list(organ.moduli_kPa)
     plotter = _plotter(options)

@@ -1,8 +1,8 @@
-"""Shaded pictures of coloured surfaces, drawn by ``python -m tissue.figures.rendering FOLDER`` in a process."""
+"""Off-screen renderings of coloured surfaces, run as ``python -m tissue.figures.rendering FOLDER`` in a subprocess."""
 
 import pickle
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FIELD_AMBIENT", "Camera", "paint", "render", "side_by_side"]
+__all__ = ["FIELD_AMBIENT", "Camera", "draw_axes", "draw_scale", "paint", "render", "round_length", "side_by_side"]
 
 PANEL_PX = 780
 GAP_PX = 40
@@ -185,6 +185,42 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: floa
     plotter.close()
     blocks = large.reshape(height, averaged, width, averaged, 3)
     return blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+
+
+LENGTHS_MM = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+
+def round_length(longest_mm: float) -> float:
+    """The greatest round length of at most so many mm."""
+    return max(step for step in LENGTHS_MM if step <= max(longest_mm, LENGTHS_MM[0]))
+
+
+def draw_scale(axes: "Axes", camera: Camera) -> None:
+    """A bar of a round length; the projection is parallel, so it holds across the picture."""
+    from matplotlib.patheffects import withStroke
+
+    per_mm = camera.size[1] / camera.height_mm
+    length = round_length(0.25 * camera.size[0] / per_mm)
+    x, y = camera.size[0] - 20.0, camera.size[1] - 16.0
+    around = [withStroke(linewidth=4.0, foreground="white")]
+    axes.plot([x - length * per_mm, x], [y, y], color="0.1", linewidth=2.2, solid_capstyle="butt", path_effects=around)
+    axes.text(
+        x - 0.5 * length * per_mm, y - 8.0, f"{length:g} mm", ha="center", va="bottom", size=9, path_effects=around
+    )
+
+
+def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:
+    """The world's axes as the camera sees them."""
+    view = np.stack([np.cross(camera.up, camera.towards_eye), camera.up])
+    axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 1.35), aspect="equal")
+    axes.set_axis_off()
+    arrow = {"arrowstyle": "-|>", "color": "0.2", "shrinkA": 0, "shrinkB": 0}
+    for along, name in zip(0.8 * view.T, names, strict=True):
+        if np.hypot(*along) < 0.2:
+            continue
+        axes.annotate("", along, (0.0, 0.0), arrowprops=arrow)
+        x, y = along * (1.0 + 0.12 / np.hypot(*along))
+        axes.text(x, y, name, ha="left" if along[0] > -0.05 else "right", va="center", size=9)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
-"""A section through the deepest point that the tool reached, at one moment: layers, what was removed, and stress."""
+"""Section through the deepest point of the tool: layers, removed tissue, stress and structures to keep clear of."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.figures.figure import figure, save, styled
-from tissue.figures.kept_clear import draw_kept_clear, kept_window, nearest_places
-from tissue.figures.layer_interpolation import interpolate_in_layers
-from tissue.figures.style import EDGE, axis_names, draw_outline, layer_colours
+from tissue.figures.figure import EDGE, axis_names, draw_outline, figure, layer_colours, save, styled
+from tissue.models.keep_clear import Distance
 from tissue.simulation.depth_map import HALF, tool_axes
 from tissue.simulation.run import Run
 
@@ -21,7 +21,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
 
-__all__ = ["Section", "draw_section", "loaded_frame", "moment_of", "plane_of", "section_of"]
+__all__ = [
+    "Section",
+    "Window",
+    "draw_kept_clear",
+    "draw_section",
+    "interpolate_in_layers",
+    "kept_window",
+    "loaded_frame",
+    "moment_of",
+    "nearest_places",
+    "plane_of",
+    "section_of",
+]
 
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
@@ -258,3 +270,151 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
         Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip"),
         *([Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers that are left")] if borders else []),
     ]
+
+
+Window = tuple[float, float, float, float]
+"""Lowest and highest coordinate along the two axes of a section, (u0, u1, v0, v1) [mm]."""
+STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
+"""After Okabe and Ito (2008)."""
+AROUND_MM = 3.0
+"""What is shown of a structure beyond its nearest point."""
+ACROSS = 200
+"""Points along each side of the section at which the distance is asked for."""
+STEP_M = 1e-5
+"""Of the differences that make the direction of a distance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """Where the tool came nearest to a structure.
+
+    Attributes
+    ----------
+    name, distance
+        The structure.
+    tool_mm, structure_mm
+        Points of the tool's body and of the structure's surface [mm], shape (3,).
+    least_mm
+        Their distance, negative inside the structure [mm].
+    """
+
+    name: str
+    distance: Distance
+    tool_mm: NDArray[np.float64]
+    structure_mm: NDArray[np.float64]
+    least_mm: float
+
+
+def nearest_places(run: Run) -> list[Nearest]:
+    """Where a run's tool came nearest to each structure that it had to keep clear of; none without any."""
+    from scipy.spatial.transform import Rotation
+
+    clear, trace, found = run.parts.keep_clear, run.trace, []
+    for name, distance in () if clear is None else clear.distances.items():
+        row = int(np.argmin(trace[f"distance_{name}_mm"]))
+        turn = Rotation.from_quat([trace[f"tool_q{c}"][row] for c in "xyzw"])
+        body_m = 1e-3 * trace.vectors("tool", "mm")[row] + turn.apply(np.asarray(clear.points_m) if clear else [])
+        point = body_m[int(np.argmin(distance(body_m)))]
+        steps = np.vstack([np.zeros(3), STEP_M * np.eye(3), -STEP_M * np.eye(3)])
+        values = np.asarray(distance(point + steps), dtype=np.float64)
+        slope = (values[1:4] - values[4:]) / (2.0 * STEP_M)
+        on_surface = point - values[0] * slope / max(float(np.linalg.norm(slope)), 1e-9)
+        least = float(trace[f"distance_{name}_mm"][row])
+        found.append(Nearest(name, distance, 1e3 * point, 1e3 * on_surface, least))
+    return found
+
+
+def kept_window(places: Sequence[Nearest], window: Window, tissue: NDArray[np.bool_], across: int, axis: int) -> Window:
+    """Sides around the tissue of a section, shape (nu, nv), and the nearest of each structure; all without any."""
+    if not places or not tissue.any():
+        return window
+    u0, u1, v0, v1 = window
+    size = np.array([u1 - u0, v1 - v0]) / tissue.shape
+    (a, b), (c, d) = ((each.min() * s, (each.max() + 1) * s) for each, s in zip(np.nonzero(tissue), size, strict=True))
+    u0, u1 = max(u0, u0 + a - AROUND_MM), min(u1, u0 + b + AROUND_MM)
+    v0, v1 = max(v0, v0 + c - AROUND_MM), min(v1, v0 + d + AROUND_MM)
+    for place in places:
+        u, v = place.structure_mm[[across, axis]].tolist()
+        u0, u1 = min(u0, u - AROUND_MM), max(u1, u + AROUND_MM)
+        v0, v1 = min(v0, v - AROUND_MM), max(v1, v + AROUND_MM)
+    return u0, u1, v0, v1
+
+
+def draw_kept_clear(
+    axes: "Axes", places: Sequence[Nearest], window: Window, across: int, axis: int, place_mm: float
+) -> "list[Artist]":
+    """Draw structures in a section at a place along its normal; returns entries of a legend with the least distances.
+
+    A line between two dots joins the points of tool and structure that came nearest, seen along the normal.
+    """
+    from matplotlib.lines import Line2D
+
+    u, v = (np.linspace(window[k], window[k + 1], ACROSS) for k in (0, 2))
+    points = np.full((ACROSS, ACROSS, 3), place_mm)
+    points[..., across], points[..., axis] = u[None, :], v[:, None]
+    handles: list[Artist] = []
+    for number, place in enumerate(places):
+        colour = STRUCTURES[number % len(STRUCTURES)]
+        depth = np.asarray(place.distance(1e-3 * points.reshape(-1, 3))).reshape(ACROSS, ACROSS)
+        if depth.min() < 0.0 < depth.max():
+            axes.contourf(u, v, depth, levels=[float(depth.min()), 0.0], colors=[colour], alpha=0.15)
+            axes.contour(u, v, depth, levels=[0.0], colors=[colour], linewidths=[1.6])
+        ends = np.array([place.tool_mm, place.structure_mm])[:, [across, axis]]
+        axes.plot(*ends.T, "o-", color=colour, markersize=3.5, linewidth=1.0)
+        how = f"{place.least_mm:.2f} mm away" if place.least_mm >= 0.0 else f"{-place.least_mm:.2f} mm inside"
+        label = f"{place.name}; the tool at its nearest, {how}"
+        handles.append(Line2D([], [], color=colour, linewidth=1.6, marker="o", markersize=3.5, label=label))
+    axes.set(xlim=window[:2], ylim=window[2:])
+    return handles
+
+
+CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+
+
+def interpolate_in_layers(
+    series: FieldSeries, values: NDArray[np.floating], place_m: Array, layer: NDArray[np.integer]
+) -> Array:
+    """Values at places, trilinear between the centres of the cells of each place's layer.
+
+    Cells of another layer or without a value do not count; where none of the eight around a place is left, the nearest
+    cell of its layer does, or of any layer where it has none.
+
+    Parameters
+    ----------
+    series
+        Cubes of one edge on a lattice.
+    values
+        Value of each cell, shape (cells,), not a number where a cell is gone.
+    place_m, layer
+        The places [m], shape (k, 3), and the layer of each, shape (k,).
+    """
+    from scipy.spatial import cKDTree
+
+    there = np.flatnonzero(np.isfinite(values))
+    result = np.full(len(place_m), np.nan)
+    if len(there) == 0:
+        return result
+    corners = series.nodes_m[series.cells[there]]
+    centre, edge = corners.mean(axis=1), float(np.ptp(corners[0, :, 0]))
+    low = centre.min(axis=0)
+    lattice = np.rint((centre - low) / edge).astype(int)
+    known = np.full(lattice.max(axis=0) + 3, -1)
+    known[tuple((lattice + 1).T)] = there  # a border of cells that are not there
+    scaled = (place_m - low) / edge + 1.0
+    base = np.clip(np.floor(scaled).astype(int), 0, np.array(known.shape) - 2)
+    part = np.clip(scaled - base, 0.0, 1.0)
+    total, weights = np.zeros((2, len(place_m)))
+    for corner in CORNERS:
+        cell = known[tuple((base + corner).T)]
+        weight = np.where(corner == 1, part, 1.0 - part).prod(axis=1)
+        weight *= (cell >= 0) & (series.layer[cell] == layer)
+        total += weight * np.where(weight > 0.0, values[cell], 0.0)
+        weights += weight
+    found = weights > 1e-9
+    result[found] = total[found] / weights[found]
+    for each in np.unique(layer[~found]):
+        here = np.flatnonzero(~found & (layer == each))
+        same = np.flatnonzero(series.layer[there] == each)
+        rows = same if len(same) else np.arange(len(there))
+        result[here] = values[there[rows[cKDTree(centre[rows]).query(place_m[here])[1]]]]
+    return result

@@ -14,7 +14,7 @@ from meshes.images.reading import read_image
 from meshes.organs.from_labels import organ_mesh
 from meshes.tets.grid import write_organ
 from meshes.tets.tetrahedra import TetMesh
-from tissue.figures.ct_organ import draw_ct_organ
+from tissue.figures.ct_pictures import draw_ct_organ
 from tissue.importing.folder import SCENE, Imported, import_folder, write_labels
 from tissue.importing.request import ImportRequest
 from tissue.importing.scene_text import scene_name, toml

@@ -11,7 +11,7 @@ from meshes.paths.depth import PathDepth, depth_along
 from meshes.paths.replay_table import ReplayTable, to_replay
 from meshes.paths.toolpath import read_toolpath
 from meshes.surfaces.surface import Surface
-from tissue.figures.path_depth import draw_path_depth
+from tissue.figures.ct_pictures import draw_path_depth
 from tissue.importing.placing import Placed
 from tissue.importing.request import ImportRequest
 

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from tissue.figures.style import COMPONENTS, SMALL_NM, layer_colours
+from tissue.figures.figure import COMPONENTS, SMALL_NM, layer_colours
 from tissue.models.tissue_model import TICK_S
 from tissue.reporting.packing import Record, packed, packed_column
-from tissue.reporting.scales import hexadecimal
+from tissue.reporting.stage import hexadecimal
 from tissue.scene.scene import Scene
 from tissue.simulation.saved_fields import UNITS
 from tissue.simulation.trace import Table

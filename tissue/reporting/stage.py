@@ -1,26 +1,31 @@
-"""The report's 3D view: bone or organ over time, the tool on its path, what it meets, and its force."""
+"""The 3D view of a report: bone or organ over time, tool, force and colour scales."""
 
+from base64 import b64encode
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.figures.style import COMPONENTS, layer_colours
+from meshes.base.errors import InputError
+from tissue.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, layer_colours
 from tissue.figures.tool_mesh import turning_tool
-from tissue.reporting.packing import Record, packed_mesh, packed_vectors
-from tissue.reporting.scales import hexadecimal
-from tissue.reporting.surfaces import Shown, bone_shown, fields_shown
+from tissue.reporting.packing import Record, packed, packed_mesh, packed_shares, packed_vectors
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
-from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.saved_fields import SavedFields, field_names
+from tissue.simulation.run_folder import SavedRun, saved_placement
+from tissue.simulation.saved_fields import SavedFields, field_label, field_names, field_values
 from tissue.simulation.trace import Table
-from tissue.viewer.run import faces_of
+from tissue.simulation.vtk_files import mesh_in_scene
+from tissue.viewer.saved_surfaces import bone_of, faces_of
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["stage"]
+__all__ = ["Shown", "bone_shown", "depth_scale", "field_scale", "fields_shown", "hexadecimal", "layer_scale", "stage"]
 
 TOOL, DEVICE, PATH, FORCE = "#808080", "#D55E00", "#D55E00", COMPONENTS[0]
 INSIDE_MM = 1e-4
@@ -33,6 +38,31 @@ EDGE_DEG = 35.0
 """Angle between triangles from which on they meet in an edge."""
 LONGEST = 0.3
 """Length of the arrow of the greatest force, in sizes of what the tool meets."""
+
+
+class Shown:
+    """Surfaces over time and what their colours can mean.
+
+    Attributes
+    ----------
+    parts
+        Records of surfaces with their moments.
+    scales
+        Records of colour scales.
+    points_mm
+        Points that have to be seen [mm], shape (n, 3).
+    """
+
+    def __init__(self) -> None:
+        self.parts: list[Record] = []
+        self.scales: list[Record] = []
+        self.points_mm: NDArray[np.float64] = np.zeros((0, 3))
+
+    def see(self, points: Any) -> None:
+        """Take both ends of the box around points [mm] among those that have to be seen."""
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        if len(points):
+            self.points_mm = np.vstack([self.points_mm, points.min(axis=0), points.max(axis=0)])
 
 
 def stage(saved: SavedRun) -> Record:
@@ -119,3 +149,204 @@ def _still(surface: "pyvista.PolyData") -> Record:
     points: Any = surface.points
     mesh, _ = packed_mesh(points, surface.regular_faces)
     return {"times": [0.0], "meshes": [mesh], "frames": [{"mesh": 0}], "smooth": True}
+
+
+MOST_MOMENTS = 40
+"""Moments of the bone of a run that did not come to its end."""
+
+
+def bone_shown(saved: SavedRun) -> Shown | None:
+    """The bone by removed depth and by layer, at the moments that the run's folder holds; None without a bone."""
+    moments = list(_bone_moments(saved))
+    if not moments:
+        return None
+    surfaces = [surface for _, _, surface in moments]
+    deepest = max((float(one.point_data["removed_depth_mm"].max(initial=0.0)) for one in surfaces), default=0.0)
+    names = next((list(one.field_data["layer_names"]) for one in surfaces if one.n_cells), [])
+    shown = Shown()
+    layers = sorted({int(layer) for one in surfaces for layer in np.unique(one.cell_data.get("layer", []))})
+    if deepest > 0.0:
+        shown.scales.append({**depth_scale(deepest), "group": "bone", "on": "points"})
+    shown.scales.append({**layer_scale(names, layers), "group": "bone", "on": "cells"})
+    for part in (False, True):
+        taken = [(time_s, surface) for time_s, is_rest, surface in moments if is_rest is part]
+        if taken:
+            shown.parts.append({"group": "bone", "smooth": True, **_moments_of_bone(taken, max(deepest, 1e-9))})
+    for surface in surfaces:
+        shown.see(surface.points)
+    return shown
+
+
+def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
+    """Time [s], whether it is what no cut changes, and surface [mm]."""
+    import pyvista
+
+    placement = saved_placement(saved.path)
+    index, whole = saved.path / "carving.pvd", saved.path / "bone.vtp"
+    if saved.complete and (index.is_file() or whole.is_file()):
+        entries = _entries(index) if index.is_file() else [(0.0, 0, "bone.vtp")]
+        read: dict[str, Any] = {}
+        for time_s, part, name in entries:
+            if name in read:
+                continue
+            read[name] = mesh_in_scene(pyvista.read(saved.path / name), placement)
+            yield time_s, part == 1, read[name]
+        return
+    bone = bone_of(saved, saved.scene)
+    if bone is None:
+        return
+    yield 0.0, True, bone.rest(bone.layers)
+    times = np.zeros(1) if saved.trace is None else saved.trace["time_s"]
+    for tick in np.unique(np.linspace(0, max(len(times) - 1, 0), MOST_MOMENTS).astype(int)).tolist():
+        if bone.at(tick) or tick == 0:
+            yield float(times[tick]), False, bone.cut(bone.layers)
+
+
+def _entries(index: Path) -> list[tuple[float, int, str]]:
+    """Times [s], parts and files that ``carving.pvd`` names; a file outside the folder is refused."""
+    with suppress(ElementTree.ParseError, KeyError, ValueError, LookupError, OSError):
+        root = ElementTree.fromstring(index.read_bytes())
+        found = [
+            (float(one.attrib["timestep"]), int(one.attrib["part"]), one.attrib["file"]) for one in root.iter("DataSet")
+        ]
+        folder = index.parent.resolve()
+        if all((folder / name).resolve().is_relative_to(folder) and (folder / name).is_file() for *_, name in found):
+            return found
+    raise InputError(f"carving.pvd must be a ParaView collection, got {index}: run the scene again")
+
+
+def _moments_of_bone(moments: Iterable[tuple[float, Any]], deepest_mm: float) -> Record:
+    times: list[float] = []
+    meshes: list[Record] = []
+    frames: list[Record] = []
+    for time_s, surface in moments:
+        triangles = surface.regular_faces if surface.n_cells else np.zeros((0, 3), dtype=int)
+        mesh, order = packed_mesh(surface.points, triangles)
+        times.append(time_s)
+        frames.append(
+            {
+                "mesh": len(meshes),
+                "depth": packed_shares(np.asarray(surface.point_data["removed_depth_mm"])[order] / deepest_mm),
+                "layer": packed(np.asarray(surface.cell_data["layer"], dtype=np.uint8)),
+            }
+        )
+        meshes.append(mesh)
+    return {"times": times, "meshes": meshes, "frames": frames}
+
+
+def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
+    """The deformed mesh by each of its fields, whole and cut open at a plane (normal, point [mm])."""
+    shown = Shown()
+    first = fields.frames[0]
+    for name in fields.names:
+        on = "cells" if name in first.cell_data else "points"
+        shown.scales.append({**field_scale(name, fields.limits(name)), "group": "field", "on": on})
+    if len(fields.layer_names) > 1:
+        layers = sorted({int(layer) for layer in np.unique(first.cell_data["layer"])})
+        shown.scales.append({**layer_scale(fields.layer_names, layers), "group": "field", "on": "cells"})
+    normal, origin = plane
+    for is_open in (False, True):
+        part = (lambda mesh: mesh.clip(normal=normal, origin=origin)) if is_open else (lambda mesh: mesh)
+        shown.parts.append({"group": "field", "open": is_open, "blend": True, **_moments_of_fields(fields, part)})
+    shown.see(first.points)
+    return shown
+
+
+def _moments_of_fields(fields: SavedFields, part: "Callable[[Any], pyvista.DataSet]") -> Record:
+    """Surfaces of all frames; consecutive ones of the same triangles share a mesh."""
+    surfaces = [part(frame).extract_surface(algorithm="dataset_surface").triangulate() for frame in fields.frames]
+    moved = [fields.moved_mm(surface) for surface in surfaces]
+    meshes: list[Record] = []
+    frames: list[Record] = []
+    order = np.zeros(0, dtype=np.intp)
+    for index, surface in enumerate(surfaces):
+        if index == 0 or not _is_same(surfaces[index - 1], surface):
+            mesh, order = packed_mesh(surface.points, surface.regular_faces)
+            meshes.append(mesh)
+        frame: Record = {"mesh": len(meshes) - 1}
+        if fields.displacement is not None:
+            frame["moved"] = packed_vectors(moved[index][order])
+        for name in fields.names:
+            values = field_values(surface, name)
+            if values is not None:
+                on_points = name in surface.point_data
+                frame[name] = packed_shares(_shares(values[order] if on_points else values, fields.limits(name)))
+        if len(fields.layer_names) > 1:
+            frame["layer"] = packed(np.asarray(surface.cell_data["layer"], dtype=np.uint8))
+        frames.append(frame)
+    return {"times": fields.times_s.tolist(), "meshes": meshes, "frames": frames}
+
+
+def _shares(values: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.float64]:
+    """Where values lie between the ends of their scale, logarithmic where it begins above 0."""
+    low, high = limits
+    values = np.asarray(values, dtype=np.float64)
+    if low > 0.0:
+        return np.asarray(np.log(np.maximum(values, low) / low) / np.log(high / low))
+    return np.asarray((values - low) / (high - low))
+
+
+def _is_same(a: Any, b: Any) -> bool:
+    return bool(
+        a.n_points == b.n_points and np.array_equal(a.faces, b.faces) and np.allclose(a.points, b.points, atol=1e-4)
+    )
+
+
+UNCUT = 0.02
+"""Share of the deepest cut below which bone has its own colour."""
+SIGNED, STRESS, OTHER = "coolwarm", "inferno", "viridis"
+"""As in the window of `tissue view`, for colour-blind readers too (Moreland 2009; van der Walt and Smith 2015)."""
+
+
+def depth_scale(deepest_mm: float) -> Record:
+    """Removed depth; bone that was not cut has its own colour."""
+    colours = _colours(DEPTH_COLOURS)
+    colours[: round(UNCUT * len(colours))] = np.array(BONE)
+    return {
+        "label": "removed depth",
+        "unit": "mm",
+        "array": "depth",
+        "low": 0.0,
+        "high": deepest_mm,
+        "logarithmic": False,
+        **_table(colours),
+    }
+
+
+def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
+    """Layers by their colours; the legend names those that are shown."""
+    colours = layer_colours(tuple(names))
+    table = np.zeros((256, 3))
+    table[: len(names)] = np.array([colours[name] for name in names])
+    legend = [[names[index], hexadecimal(colours[names[index]])] for index in shown]
+    return {"label": "layer", "unit": "", "array": "layer", "names": legend, **_table(table)}
+
+
+def field_scale(name: str, limits: tuple[float, float]) -> Record:
+    """A field over the range of the whole run, logarithmic where it begins above 0."""
+    words, unit = field_label(name)
+    low, high = limits
+    return {
+        "label": words,
+        "unit": unit,
+        "array": name,
+        "low": low,
+        "high": high,
+        "logarithmic": low > 0.0,
+        **_table(_colours(SIGNED if low < 0.0 else STRESS if low > 0.0 else OTHER)),
+    }
+
+
+def hexadecimal(colour: Sequence[float]) -> str:
+    """A colour as ``#rrggbb``."""
+    return "#" + "".join(f"{round(255 * part):02x}" for part in colour[:3])
+
+
+def _colours(name: str) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    import matplotlib
+
+    return np.asarray(matplotlib.colormaps[name](np.linspace(0.0, 1.0, 256)))[:, :3].copy()
+
+
+def _table(colours: "np.ndarray[tuple[int, int], np.dtype[np.float64]]") -> Mapping[str, str]:
+    return {"colours": b64encode(np.rint(255 * colours).astype(np.uint8).tobytes()).decode("ascii")}

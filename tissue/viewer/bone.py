@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissue.figures.style import BONE, layer_colours
-from tissue.viewer.carving import BoneOverTime
+from tissue.figures.figure import BONE, layer_colours
 from tissue.viewer.plotter import Plotter, add_colour_scale
+from tissue.viewer.saved_surfaces import BoneOverTime
 
 if TYPE_CHECKING:
     import pyvista

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.figure import field_colours
 from tissue.figures.organ_surface import SHOWN as DRAWN
 from tissue.figures.organ_surface import at_nodes, drawn_surface
-from tissue.figures.style import field_colours
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
 from tissue.viewer.plotter import Plotter, add_colour_scale
 

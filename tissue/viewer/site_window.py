@@ -10,7 +10,7 @@ from meshes.base.errors import InputError
 from meshes.surfaces.glenoid_search import sample_surface
 from meshes.surfaces.plane_fit import normal_by_plane
 from meshes.surfaces.surface import Surface, read_surface
-from tissue.figures.style import BONE
+from tissue.figures.figure import BONE
 from tissue.scene.site_text import anatomy_of, save_site
 from tissue.viewer.plotter import Plotter, free_keys, on_click
 

@@ -20,11 +20,10 @@ from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, field_names
 from tissue.system.offscreen import LONGEST_S, display_problem, draw_apart
 from tissue.system.outputs import require_new_file
-from tissue.viewer.movie import check_movie, write_movie
-from tissue.viewer.run import require_whole
+from tissue.viewer.export import check_movie, write_clean, write_movie
+from tissue.viewer.saved_surfaces import require_whole
 from tissue.viewer.site_window import is_imported, show_site
-from tissue.viewer.still import write_clean
-from tissue.viewer.web.view import serve_view
+from tissue.viewer.web.view_page import serve_view
 from tissue.viewer.window import Choice, Window, times_of
 
 __all__ = ["show", "view"]

@@ -7,24 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.figures.style import layer_colours
+from tissue.figures.figure import layer_colours
 from tissue.figures.tool_mesh import turning_tool
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, field_label, field_names
 from tissue.viewer.bone import BoneShown
-from tissue.viewer.camera import aim
-from tissue.viewer.carving import bone_of
-from tissue.viewer.clip import HELP as CLIP_HELP
-from tissue.viewer.clip import ClipPlane
+from tissue.viewer.controls import HELP as CLIP_HELP
+from tissue.viewer.controls import ClipPlane, LayerKeys, NameList, Playback, PointRead
+from tissue.viewer.export import add_scale_bar, leave_alone, movie_times_s
 from tissue.viewer.fields import FieldsShown, Plane
-from tissue.viewer.layers import LayerKeys
 from tissue.viewer.moment import CHART_SHARE, MomentShown
-from tissue.viewer.movie import movie_times_s
-from tissue.viewer.pick import NameList, PointRead
-from tissue.viewer.play import Playback
-from tissue.viewer.plotter import Plotter, add_names, free_keys, on_click
-from tissue.viewer.run import faces_of
-from tissue.viewer.still import add_scale_bar, leave_alone
+from tissue.viewer.plotter import Plotter, add_names, aim, free_keys, on_click
+from tissue.viewer.saved_surfaces import bone_of, faces_of
 
 if TYPE_CHECKING:
     import pyvista

@@ -11,8 +11,8 @@ from tissue import InputError, load_scene, simulate
 from tissue.motion.pose_file import write_poses
 from tissue.simulation.run_folder import SavedRun
 from tissue.viewer.bone import BoneShown
-from tissue.viewer.carving import bone_of, read_voxels
-from tissue.viewer.layers import LayerKeys
+from tissue.viewer.controls import LayerKeys
+from tissue.viewer.saved_surfaces import bone_of, read_voxels
 
 
 def carved_bone(folder):

@@ -7,7 +7,7 @@ import pytest
 
 from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.window import LOADS
-from tissue.viewer.live.readings import Readings
+from tissue.viewer.live.live_scene import Readings
 from tissue.viewer.live.target import KEY_MM, NOTCH_MM
 from tissue.viewer.web import live_page
 from tissue.viewer.web.live_page import LivePage

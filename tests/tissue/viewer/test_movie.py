@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from tissue import InputError
-from tissue.viewer.movie import FRAMES_PER_S, check_movie, movie_times_s, write_movie
+from tissue.viewer.export import FRAMES_PER_S, check_movie, movie_times_s, write_movie
 
 
 def pictures(count, size=(64, 96)):
@@ -66,7 +66,7 @@ def test_a_movie_needs_an_ending(tmp_path):
 
 
 def test_without_ffmpeg_the_remedy_is_a_gif(tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.viewer.movie.find_spec", lambda name: None if name == "imageio_ffmpeg" else object())
+    monkeypatch.setattr("tissue.viewer.export.find_spec", lambda name: None if name == "imageio_ffmpeg" else object())
     with pytest.raises(InputError, match=r"not installed, got .*use .*run.gif or pip install imageio imageio-ffmpeg$"):
         check_movie(tmp_path / "run.mp4")
     check_movie(tmp_path / "run.gif")

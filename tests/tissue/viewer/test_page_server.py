@@ -13,9 +13,8 @@ import aiohttp
 import psutil
 
 from tissue.viewer.web import server as served
-from tissue.viewer.web.gate import HOST, new_token, refusal
 from tissue.viewer.web.messages import LARGEST, MessageError, Pace, parse
-from tissue.viewer.web.server import PageServer, page_text
+from tissue.viewer.web.server import HOST, PageServer, new_token, page_text, refusal
 
 HOME = {
     "host": "127.0.0.1:80",

@@ -1,30 +1,188 @@
-"""A scene while it runs, in a plotter: tissue, tool, force and the mark of the device, from what the ticks share."""
+"""A scene while it runs, in a plotter: tissue, tool, force and the mark of the device."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.figures.style import layer_colours
+from tissue.figures.figure import layer_colours
 from tissue.figures.tool_mesh import turning_tool
 from tissue.scene.scene import Scene
+from tissue.simulation.bone_surface import smooth_normals, with_layers
 from tissue.simulation.live.shared import SharedArrays
-from tissue.viewer.camera import aim
-from tissue.viewer.live.readings import Readings
-from tissue.viewer.live.tissue_shown import live_tissue
-from tissue.viewer.plotter import Plotter
-from tissue.viewer.run import faces_of
-from tissue.viewer.tool import ToolShown
+from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start, tissue_surface
+from tissue.viewer.bone import layer_look
+from tissue.viewer.moment import ToolShown
+from tissue.viewer.plotter import Plotter, aim
+from tissue.viewer.saved_surfaces import faces_of
 
-__all__ = ["DEVICE", "LiveScene"]
+__all__ = ["DEVICE", "LiveBone", "LiveOrgan", "LiveScene", "Readings", "live_tissue"]
 
 TISSUE_S = 0.2
 """Least time between two updates of the tissue [s]; one that took long is followed by a rest as long as itself."""
 DEVICE = "#D55E00"
 LEAST_N = 1.0
 """Force that is drawn as the longest arrow until there is a greater one."""
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Readings:
+    """One row of the trace and of the clock.
+
+    Attributes
+    ----------
+    time_s
+        Simulated time [s].
+    tip_mm, turn
+        Tip of the tool [mm] and its orientation (x, y, z, w).
+    force_N, torque_Nm
+        What the tissue does to the tool [N], [N m], shape (3,) each.
+    device_N
+        Size of the force that the device plays [N], None without one.
+    removed_mm3
+        Volume that was removed [mm³].
+    tick_us, late_us
+        How long the tick took and how late it began [µs].
+    missed
+        How many ticks were not done within 1 ms of when they were due.
+    skipped_ms
+        What the clock on the wall has skipped [ms].
+    """
+
+    time_s: float
+    tip_mm: Array
+    turn: Array
+    force_N: Array
+    torque_Nm: Array
+    device_N: float | None
+    removed_mm3: float
+    tick_us: float
+    late_us: float
+    missed: float
+    skipped_ms: float
+
+    @classmethod
+    def of(cls, row: Array, places: dict[str, int]) -> "Readings":
+        """Read a row with columns at ``places``: those of the trace, then `tissue.simulation.live.window.CLOCK`."""
+
+        def vector(name: str, unit: str) -> Array:
+            return row[[places[f"{name}_{c}_{unit}"] for c in "xyz"]]
+
+        one = lambda name: float(row[places[name]])  # noqa: E731
+        plays = "device_force_x_N" in places
+        return cls(
+            time_s=one("time_s"),
+            tip_mm=vector("tool", "mm"),
+            turn=row[[places[f"tool_q{c}"] for c in "xyzw"]],
+            force_N=vector("model_force", "N"),
+            torque_Nm=vector("model_torque", "Nm"),
+            device_N=float(np.linalg.norm(vector("device_force", "N"))) if plays else None,
+            removed_mm3=one("removed_mm3"),
+            tick_us=one("tick_us"),
+            late_us=one("late_us"),
+            missed=one("missed"),
+            skipped_ms=one("skipped_ms"),
+        )
+
+
+PASSES = 4
+"""Smoothing of normals: fewer than in a picture, for it is done again at every change."""
+AROUND = 0.7
+"""How much of what lies around the touchable surface is seen, in shares of its size."""
+ORGAN = "#CC8E7D"
+
+
+def live_tissue(plotter: Plotter, start: Start, arrays: SharedArrays) -> "LiveBone | LiveOrgan | None":
+    """What is drawn of a tissue that `tissue.simulation.live` shares; None for one that its scene describes."""
+    match tissue_surface(start, arrays):
+        case BoneSurface() as bone:
+            return LiveBone(plotter, bone)
+        case OrganSurface() as organ:
+            return LiveOrgan(plotter, organ)
+    return None
+
+
+class LiveBone:
+    """A bone by layer as it is carved.
+
+    Parameters
+    ----------
+    plotter
+        Where it is shown.
+    bone
+        Its surface.
+
+    Attributes
+    ----------
+    points_mm
+        Points that have to be seen [mm], shape (n, 3).
+    colours
+        Of the layers that there are by name, red, green and blue, 0 to 1.
+    """
+
+    def __init__(self, plotter: Plotter, bone: BoneSurface) -> None:
+        self._plotter, self._bone = plotter, bone
+        names = bone.volume.layer_names
+        colours, self._look = layer_colours(names), layer_look(names)
+        there = [names[i] for i in np.unique(bone.volume.layer[bone.volume.fraction > 0])]
+        self.colours = {name: colours[name] for name in there}
+        self._draw()
+        self.points_mm: Array = np.asarray(bone.surface.points, dtype=np.float64)
+
+    def update(self) -> bool:
+        """Draw the bone again if a brick has lost something."""
+        changed = self._bone.update()
+        if changed:
+            self._draw()
+        return changed
+
+    def _draw(self) -> None:
+        surface = self._bone.surface
+        if not surface.n_cells:
+            self._plotter.remove_actor("bone", render=False)
+            return
+        with_layers(surface, self._bone.volume)
+        surface.point_data["Normals"] = smooth_normals(surface, passes=PASSES)
+        self._plotter.add_mesh(surface, name="bone", **self._look)
+
+
+class LiveOrgan:
+    """The surface of a soft organ as it moves.
+
+    Parameters
+    ----------
+    plotter
+        Where it is shown.
+    organ
+        The surface.
+
+    Attributes
+    ----------
+    points_mm
+        Points that have to be seen [mm], shape (n, 3).
+    colours
+        None: it has but one.
+    """
+
+    def __init__(self, plotter: Plotter, organ: OrganSurface) -> None:
+        self.colours: dict[str, tuple[float, float, float]] = {}
+        self._organ = organ
+        self._actor = plotter.add_mesh(
+            organ.surface, color=ORGAN, smooth_shading=True, show_edges=True, edge_color="#B07365", line_width=0.5,
+            specular=0.2, reset_camera=False,
+        )  # fmt: skip
+        patch = organ.touchable_mm
+        self.points_mm: Array = patch + AROUND * (patch - patch.mean(axis=0))
+
+    def update(self) -> bool:
+        """Draw the surface where it has moved to."""
+        return self._organ.update()
 
 
 class LiveScene:

@@ -8,9 +8,8 @@ from time import perf_counter, sleep
 
 import numpy as np
 
-from tissue.viewer.live.live_scene import LiveScene
-from tissue.viewer.live.pointer import HELP, Pointer
-from tissue.viewer.live.readings import Readings
+from tissue.viewer.live.live_scene import LiveScene, Readings
+from tissue.viewer.live.target import HELP, Pointer
 from tissue.viewer.plotter import add_names
 
 __all__ = ["NICE", "LiveWindow"]

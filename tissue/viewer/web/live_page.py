@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from tissue.simulation.live.window import LOADS
-from tissue.viewer.camera import aim
-from tissue.viewer.live.live_scene import LiveScene
-from tissue.viewer.live.readings import Readings
+from tissue.viewer.live.live_scene import LiveScene, Readings
 from tissue.viewer.live.target import NOTCH_MM, Target
+from tissue.viewer.plotter import aim
 from tissue.viewer.web.messages import Values
-from tissue.viewer.web.process import serve
+from tissue.viewer.web.server import serve
 from tissue.viewer.web.stage import Stage
 
 __all__ = ["LivePage"]
@@ -138,7 +137,7 @@ class LivePage:
         return self._resets != self._run
 
     def _move(self, do: str, values: Values, number: dict[str, float]) -> None:
-        """Move the tool as `tissue.viewer.live.pointer.Pointer` does."""
+        """Move the tool as `tissue.viewer.live.target.Pointer` does."""
         if do == "move":
             tall_mm = self.stage.tall_px * self.target.mm_per_pixel
             self.target.across(tall_mm * number["right"], tall_mm * number["up"])

@@ -1,14 +1,16 @@
-"""What a page shows in 3D: a plotter without a window, turned by the page, as pictures."""
+"""Off-screen view for a page: rotated by the page, sent as JPEG, with the colour scale as data."""
 
 from collections.abc import Callable
 from io import BytesIO
+from math import floor, log10
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 from tissue.viewer.plotter import Plotter
 
-__all__ = ["Stage"]
+__all__ = ["Stage", "taken_scale"]
 
 MOST_PX = 1_000_000
 """Largest picture [pixel]: more takes OpenGL in software longer than a frame."""
@@ -100,3 +102,32 @@ class Stage:
     def _viewed(self) -> None:
         self._plotter.renderer.ResetCameraClippingRange()
         self._turned = self.changed = True
+
+
+STOPS, MARKS = 24, 5
+"""Colours and labels along a scale."""
+
+
+def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
+    """Hide a plotter's scale of colours, and give its title, colours as ``#rrggbb`` from low to high, and labels.
+
+    None where it has none.
+    """
+    from matplotlib.colors import to_hex
+
+    found = None
+    for title, bar in plotter.scalar_bars.items():
+        bar.SetVisibility(False)
+        table = bar.GetLookupTable()
+        low, high = table.GetTableRange()
+        spaced = np.geomspace if table.UsingLogScale() else np.linspace
+        colours = []
+        for value in spaced(low, high, STOPS).tolist():
+            colour = [0.0, 0.0, 0.0]
+            table.GetColor(value, colour)
+            colours.append(to_hex((colour[0], colour[1], colour[2])))
+        digits = max(2 - floor(log10(max(high - low, 1e-12))), 0)
+        kind = ".2g" if table.UsingLogScale() or digits > 4 else f".{digits}f"
+        labels = [format(value, kind) for value in spaced(low, high, MARKS).tolist()]
+        found = {"title": title.split("\n")[0], "colours": colours, "labels": labels}
+    return found

@@ -1,31 +1,38 @@
-"""The page of `tissue view DIR --web`, run by ``python -m tissue.viewer.web.view_page DIR CHOICE`` in a process."""
+"""The page of `tissue view DIR --web`, run by ``python -m tissue.viewer.web.view_page DIR CHOICE`` in a subprocess."""
 
 import json
+import os
+import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryFile
 from time import perf_counter
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.figures.style import layer_colours
+from meshes.base.errors import InputError
+from tissue.figures.figure import layer_colours
 from tissue.figures.tool_mesh import turning_tool
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, field_label, field_names
+from tissue.system.child import await_ready, child_command
+from tissue.system.offscreen import REMEDY, drawing_environments
+from tissue.system.stopping import Terminated
 from tissue.viewer.bone import BoneShown
-from tissue.viewer.camera import aim
-from tissue.viewer.carving import bone_of
 from tissue.viewer.fields import FieldsShown
 from tissue.viewer.moment import MomentShown
-from tissue.viewer.run import faces_of
-from tissue.viewer.web.colour_scale import taken_scale
+from tissue.viewer.plotter import aim
+from tissue.viewer.saved_surfaces import bone_of, faces_of
 from tissue.viewer.web.messages import Values
-from tissue.viewer.web.process import serve
-from tissue.viewer.web.stage import Stage
+from tissue.viewer.web.server import serve
+from tissue.viewer.web.stage import Stage, taken_scale
 from tissue.viewer.window import Choice, cut_plane, some_of, times_of
 
-__all__ = ["ViewPage"]
+__all__ = ["ViewPage", "serve_view"]
 
 SIZE = (960, 720)
 """Until the page states its own [pixel]."""
@@ -267,6 +274,65 @@ def _make() -> ViewPage:
     folder, chosen = sys.argv[1:]
     choice = json.loads(chosen)
     return ViewPage(SavedRun(Path(folder)), Choice(**choice | {"hide": tuple(choice["hide"])}))
+
+
+MODULE = "tissue.viewer.web.view_page"
+OPENS_S, CLOSES_S = 120.0, 10.0
+"""How long a page may take until it is served, and to close [s]."""
+
+
+def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) -> None:
+    """Serve the page of a run until it was closed for some seconds, or Ctrl-C.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    choice
+        What is shown at first.
+    opened
+        Called with the address, which holds a random token.
+
+    Raises
+    ------
+    InputError
+        If nothing can be drawn or served here.
+    """
+    why = "this machine has no OpenGL library"
+    for environment in drawing_environments():
+        with TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
+            child = _start(folder, choice, environment, output)
+            try:
+                address, problem = await_ready(child, longest_s=OPENS_S, closes_s=CLOSES_S)
+                if problem is None:
+                    opened(address)
+                    child.wait()
+                    return
+                why = problem or _last_line(output) or f"its process ended with exit code {child.returncode}"
+            except Terminated:
+                raise
+            except KeyboardInterrupt:
+                return
+            finally:
+                child.kill()
+                child.communicate()
+    raise InputError(f"--web must serve a page, but {why[:200]}: {REMEDY}")
+
+
+def _start(folder: Path, choice: Choice, environment: dict[str, str], output: IO[str]) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        child_command(MODULE, str(folder), json.dumps(asdict(choice))),
+        env=os.environ | environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=output,
+        text=True,
+    )
+
+
+def _last_line(output: IO[str]) -> str:
+    output.seek(0)
+    return (output.read().strip().splitlines() or [""])[-1]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The bone of a saved run at any moment, as surfaces: carved again along the tool's poses."""
+"""Surfaces of a saved run: the bone at any moment, and the faces that a tool meets."""
 
 from collections.abc import Collection
 from contextlib import suppress
@@ -10,10 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.isolated_parser import parse_isolated
 from meshes.base.placement import Placement
 from meshes.voxels.volume import VoxelVolume
+from tissue.builders.registry import motion_of
+from tissue.models.tissue_model import TICK_S
 from tissue.motion.pose_file import poses_of_trace, read_poses
 from tissue.scene.named_parts import loaded
+from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
@@ -21,6 +25,7 @@ from tissue.simulation.bone_surface import smooth_normals
 from tissue.simulation.carved_surface import Box, CarvedSurface, changed_box
 from tissue.simulation.depth_map import facing, tool_axes
 from tissue.simulation.run_folder import SavedRun, saved_placement
+from tissue.simulation.saved_fields import frames_of
 from tissue.simulation.trace import Table
 from tissue.simulation.vtk_files import image_in_scene
 
@@ -29,7 +34,72 @@ if TYPE_CHECKING:
 
     from tissue.models.bone.replay import CarvingReplay
 
-__all__ = ["BoneOverTime", "bone_of", "read_voxels"]
+__all__ = ["BoneOverTime", "bone_of", "faces_of", "layer_faces", "read_voxels", "require_whole", "wall_face"]
+
+FACE_MM = 30.0
+"""Edge of a drawn piece of a face that goes on, and how far a wall goes beyond the path on it."""
+WALL_MESH_MM = 5.0
+"""Width of the squares of a drawn wall."""
+
+
+def require_whole(saved: SavedRun) -> None:
+    """Refuse a run whose bone or frames are damaged, before VTK reads them in this process, which it could end.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged or lacks what it should hold; the message names it.
+    """
+    wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
+    if (saved.path / "fields.pvd").is_file():
+        wanted |= {name: [] for _, name in frames_of(saved.path)}
+    there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
+    if there:
+        parse_isolated(
+            "meshes.surfaces.vtk_reading:check_vtk",
+            saved.path,
+            what="folder of a run",
+            remedy="run the scene again",
+            arrays_by_file=there,
+        )
+
+
+def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
+    """Pieces of the faces that a tool goes through or presses [mm], by name; none of voxels or a mesh."""
+    make = None if scene is None else ANATOMIES[scene.anatomy.kind].faces
+    return {} if scene is None or make is None else loaded(make)(scene)
+
+
+def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
+    """A wall under all of the path that the tool can go."""
+    import pyvista
+
+    path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
+    low, high = path_mm.min(axis=0), path_mm.max(axis=0)
+    middle, (wide, deep) = 0.5 * (low + high), high - low + max(FACE_MM, 2.0 * (scene.coupling.roam_mm or 0.0))
+    return {
+        "wall": pyvista.Plane(
+            center=(*middle, 0.0),
+            direction=(0.0, 0.0, 1.0),
+            i_size=wide,
+            j_size=deep,
+            i_resolution=max(round(wide / WALL_MESH_MM), 1),
+            j_resolution=max(round(deep / WALL_MESH_MM), 1),
+        )
+    }
+
+
+def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
+    """Pieces of the faces that a needle goes through, by layer."""
+    import pyvista
+
+    assert isinstance(scene.anatomy, LayersAnatomy)
+    depths = {"capsule": 0.0} | dict(scene.anatomy.membranes)
+    return {
+        name: pyvista.Plane(center=(0.0, 0.0, -depth), direction=(0.0, 0.0, 1.0), i_size=FACE_MM, j_size=FACE_MM)
+        for name, depth in depths.items()
+    }
+
 
 COARSE_MM = 0.4
 """Spacing at which the bone of an incomplete run is built and cut again."""

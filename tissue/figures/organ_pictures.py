@@ -1,4 +1,4 @@
-"""A still picture of a soft organ under load: how far it has moved, and the stress where it is cut open at the tool."""
+"""Figures of a soft organ: pressed, and at rest with its supports."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.figures.figure import DRAWING, is_vector, save
-from tissue.figures.marks import draw_axes, draw_scale
+from tissue.figures.figure import DRAWING, field_colours, is_vector, save
 from tissue.figures.organ_surface import SHOWN, at_nodes, drawn_surface, inclusions, section_cap, with_normals
-from tissue.figures.rendering import FIELD_AMBIENT, Camera, paint, render, side_by_side
-from tissue.figures.style import field_colours
+from tissue.figures.rendering import FIELD_AMBIENT, Camera, draw_axes, draw_scale, paint, render, side_by_side
 from tissue.figures.tool_mesh import pose
 from tissue.simulation.saved_fields import IN_MM, field_label, field_limits, field_values
-from tissue.simulation.series import frame_mesh
+from tissue.simulation.series import CELL_TYPES, frame_mesh
 from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
 
-__all__ = ["draw_press", "moment_of_press"]
+__all__ = ["draw_held", "draw_press", "moment_of_press"]
 
 EYE, ACROSS = (0.25, -0.75, 0.62), (0.0, -1.0, 0.0)
 """Directions towards the eye: that of `tissue view` but lower, and at right angles to a section."""
@@ -218,3 +216,58 @@ def _displacement(frame: Frame) -> str:
 def _greatest(frame: Frame) -> float:
     name = _displacement(frame)
     return float(np.linalg.norm(frame.points[name], axis=1).max(initial=0.0)) if name else 0.0
+
+
+FREE, HELD, TOUCHABLE = (0.93, 0.91, 0.87), (0.902, 0.624, 0.0), (0.0, 0.447, 0.698)
+EYES = {"from above": (0.25, -0.75, 0.62), "from below": (0.25, -0.75, -0.62)}
+HELD_HEAD_PX, HELD_FOOT_PX = 110, 80
+
+
+def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
+    """Draw the organ's surface, triangles of held nodes and of touchable nodes in colours of their own.
+
+    Returns
+    -------
+    None, or why it could not be drawn.
+    """
+    from matplotlib.patches import Patch
+
+    surface = _surface(series)
+    up = (0.0, 0.0, 1.0)
+    cameras = [Camera.seeing(surface.points, eye, up) for eye in EYES.values()]
+    pictures = render(lambda: [(surface, camera) for camera in cameras], fine=is_vector(path))
+    if isinstance(pictures, str):
+        return pictures
+    with DRAWING:
+        chart, panels, (_, tall) = side_by_side(
+            pictures, head_px=HELD_HEAD_PX, foot_px=HELD_FOOT_PX, fine=is_vector(path)
+        )
+        chart.text(0.5, 1.0 - 35 / tall, f"{title}: what holds the organ", ha="center", va="center", size=11)
+        for axes, name, camera in zip(panels, EYES, cameras, strict=True):
+            axes.set_title(name, size=10)
+            draw_scale(axes, camera)
+        named = (("held", HELD), ("may be touched", TOUCHABLE), ("free", FREE))
+        chart.legend(
+            handles=[Patch(facecolor=colour, edgecolor="0.4", label=name) for name, colour in named],
+            loc="lower center",
+            ncols=3,
+            frameon=False,
+        )
+        save(chart, path)
+    return None
+
+
+def _surface(series: FieldSeries) -> "pyvista.PolyData":
+    """The boundary, coloured where all nodes of a triangle are held or may be touched."""
+    import pyvista
+
+    grid = pyvista.UnstructuredGrid({CELL_TYPES[series.cells.shape[1]]: series.cells}, 1e3 * series.nodes_m)
+    marks = {"touchable": TOUCHABLE, "held": HELD}
+    nodes = np.arange(len(series.nodes_m))
+    member = np.column_stack([np.isin(nodes, series.node_sets.get(name, ())) for name in marks])
+    surface = drawn_surface(grid, member.astype(np.float32))
+    colours = np.tile(FREE, (surface.n_cells, 1))
+    whole = np.asarray(surface.point_data[SHOWN])[surface.regular_faces].min(axis=1) == 1.0
+    for index, colour in enumerate(marks.values()):
+        colours[whole[:, index]] = colour
+    return paint(surface, colours)
