@@ -12,18 +12,18 @@ from tissue.builders.voxels import reach
 from tissue.figures.figure import (
     BONE,
     DEPTH_COLOURS,
-    DRAWING,
     EDGE,
     axis_names,
     depth_limit,
+    draw_arrow,
     draw_outline,
     figure,
-    is_vector,
+    halo,
     layer_colours,
     save,
     styled,
 )
-from tissue.figures.rendering import Camera, draw_axes, draw_scale, paint, render, side_by_side
+from tissue.figures.rendering import Camera, Shaded, draw_axes, draw_shaded, paint
 from tissue.figures.section import plane_of
 from tissue.figures.tool_mesh import pose, spin_arc_mm
 from tissue.scene.tool import Tool
@@ -39,7 +39,8 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_before_after", "draw_removed_depth", "shown_mm"]
 
-HEAD_PX, FOOT_PX = 64, 170
+HEIGHTS_PX = 64, 170
+"""Above and below the renderings [pixel]."""
 TILT_DEG, OPENED_DEG = (36.0, 12.0), (58.0, 12.0)
 """How far the eye turns down and to the side from the tool's axis, and where the bone is cut open."""
 DEEP = 0.5
@@ -117,13 +118,11 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     volume, remaining = view.volume, view.remaining
     if min(int(volume.fraction.max()), int(remaining.max())) < HALF:
         return "no bone is left to show"
-    cameras: list[Camera] = []
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
-        """Both surfaces, and what sees them."""
+        """Return the bone before and after, seen by the same camera."""
         whole = bone_surface(volume, volume.fraction)
         camera = view.camera(whole)
-        cameras.append(camera)
         before = with_layers(_seen(whole, camera), volume)
         after = with_layers(_seen(bone_surface(volume, remaining), camera), volume)
         with_depth(after, volume, remaining, depth_mm=depth.depth_mm, axis=depth.axis)
@@ -138,14 +137,12 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
             surface.point_data["Normals"] = smooth_normals(surface)
         return [(paint(before, colours[before.cell_data["layer"]]), camera), (paint(after, carved), camera)]
 
-    pictures = render(make, fine=is_vector(path))
-    if isinstance(pictures, str):
-        return pictures
-    present = np.bincount(volume.layer[volume.fraction >= HALF], minlength=len(volume.layer_names)) > 0
-    layers = [name for name, there in zip(volume.layer_names, present, strict=True) if there]
-    with DRAWING:
-        _compose(run, pictures, cameras[0], view, layers, limit, path)
-    return None
+    def annotate(shaded: Shaded) -> None:
+        _annotate(shaded, run, view, limit)
+
+    opened = "" if view.plane is None else f", cut open at {'xyz'[view.plane[0]]} = {view.plane[1]:.2f} mm"
+    names = [f"{when}{opened}" for when in ("before", "after")]
+    return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, names=names)
 
 
 def _depth_paint(depth_mm: NDArray[np.float32], limit: float) -> NDArray[np.float64]:
@@ -167,31 +164,22 @@ def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
     return part
 
 
-def _compose(
-    run: Run,
-    pictures: list[NDArray[np.uint8]],
-    camera: Camera,
-    view: "_View",
-    layers: list[str],
-    limit: float,
-    path: Path,
-) -> None:
-    """Put the two pictures side by side with legend, colour bar, scale bar and axes."""
+def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
+    """Add legends, colour bar, axes and the sense of rotation."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.patches import Patch
 
-    chart, panels, (_, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX, fine=is_vector(path))
-    colours = layer_colours(run.volume.layer_names)
+    volume = view.volume
+    chart = shaded.chart
+    colours = layer_colours(volume.layer_names)
+    present = np.unique(volume.layer[volume.fraction >= HALF])
     named = (
-        {name: colours[name] for name in layers},
+        {volume.layer_names[index]: colours[volume.layer_names[index]] for index in present},
         {"not cut": BONE, "edge of the\nsimulated region": CUT_OUT},
     )
-    for axes, when, legend in zip(panels, ("before", "after"), named, strict=True):
+    for axes, legend in zip(shaded.panels, named, strict=True):
         left, foot, wide, _ = axes.get_position().bounds
-        title = when if view.plane is None else f"{when}, cut open at {'xyz'[view.plane[0]]} = {view.plane[1]:.2f} mm"
-        chart.text(left + 0.5 * wide, 1.0 - 0.5 * HEAD_PX / tall, title, ha="center", va="center", size=11)
-        draw_scale(axes, camera)
         chart.legend(
             handles=[Patch(facecolor=colour, label=name, **EDGE) for name, colour in legend.items()],
             loc="center",
@@ -200,18 +188,16 @@ def _compose(
             handlelength=1.2,
             labelspacing=0.3,
         )
-    _draw_spin(panels[0], run, camera)
+    camera = shaded.cameras[0]
+    _draw_spin(shaded.panels[0], run, camera)
     draw_axes(chart.add_axes((0.28, 0.0, 0.18, foot)), axis_names(run), camera)
     bar = chart.add_axes((left + 0.45 * wide, 0.58 * foot, 0.48 * wide, 0.14 * foot))
     mapped = ScalarMappable(Normalize(0.0, limit), DEPTH_COLOURS)
     chart.colorbar(mapped, cax=bar, orientation="horizontal").set_label("removed depth / mm")
-    save(chart, path)
 
 
 def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
-    """An arrow in the sense of the tool's spin where it touches first, as wide as the tool where that fits."""
-    from matplotlib.patheffects import withStroke
-
+    """Draw the sense of the tool's rotation at its first contact, as wide as the tool where that fits."""
     tool = run.scene.tool
     assert isinstance(tool, Tool)
     row = int((run.trace["contact_mm2"] > 0.0).argmax())
@@ -219,12 +205,10 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     share = min(1.0, WIDEST_ARC * camera.height_mm / tool.diameter_mm)
     axes.set_autoscale_on(False)
     arc = camera.pixels(share * spin_arc_mm(tool) @ matrix[:3, :3].T + matrix[:3, 3])
-    around = [withStroke(linewidth=4.0, foreground="white")]
-    axes.plot(*arc[:-3].T, color="0.1", linewidth=1.6, path_effects=around)
-    arrow = {"arrowstyle": "-|>", "color": "0.1", "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 14}
-    axes.annotate("", arc[-1], arc[-4], arrowprops=arrow)
+    axes.plot(*arc[:-3].T, color="0.1", linewidth=1.6, path_effects=halo())
+    draw_arrow(axes, arc[-4], arc[-1], "0.1")
     x, y = arc[np.argmin(arc[:, 1])]
-    axes.text(x, y - 8.0, "spin", ha="center", va="bottom", size=9, path_effects=around)
+    axes.text(x, y - 8.0, "spin", ha="center", va="bottom", size=9, path_effects=halo())
 
 
 EXPOSED: "tuple[LineStyleType, ...]" = ("--", ":", "-.")

@@ -1,6 +1,6 @@
 """Figures of a CT import: slices, histogram, bone, organ and the depth of a path."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -14,13 +14,12 @@ from meshes.paths.depth import PathDepth
 from meshes.surfaces.surface import Surface
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import triangle_distance
-from tissue.figures.figure import DRAWING, figure, is_vector, save, styled
-from tissue.figures.rendering import Camera, draw_axes, draw_scale, paint, render, side_by_side
+from tissue.figures.figure import BONE, draw_arrow, figure, save, styled
+from tissue.figures.rendering import Camera, Shaded, draw_axes, draw_shaded, paint
 
 if TYPE_CHECKING:
     import pyvista
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["SOFT_HU", "draw_ct_bone", "draw_ct_histogram", "draw_ct_organ", "draw_ct_slices", "draw_path_depth"]
 
@@ -34,9 +33,8 @@ BODY, SITE, PATH = "#E69F00", "#D55E00", "#CC79A7"
 OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 """Colours of outlines after Okabe and Ito (2008)."""
 LINES: tuple[Line, ...] = ("solid", "dashed", "dotted")
-"""Of the outlines: the next one where all colours are taken."""
+"""Strokes of the outlines: the next one where all colours are taken."""
 NORMAL_MM = 12.0
-WIDTH_IN, HEIGHT_IN = 9.0, 3.7
 
 
 @styled
@@ -71,11 +69,18 @@ def draw_ct_slices(
     window_HU
         Hounsfield units from black to white; images of other units take their own range.
     """
-    origin, spacing, shape = np.array(image.origin_mm), np.array(image.spacing_mm), image.values.shape
+    from matplotlib.lines import Line2D
+
+    origin = np.array(image.origin_mm)
+    spacing = np.array(image.spacing_mm)
+    shape = image.values.shape
     at = np.rint((centre_mm - origin) / spacing).astype(int).clip(0, np.array(shape) - 1)
     hounsfield = float(image.values.min()) < -100.0
     low, high = window_HU if hounsfield else np.percentile(image.values, (1, 99.8))
-    chart = figure(WIDTH_IN, HEIGHT_IN)
+    outlined = [(body[1], BODY, LINES[0])]
+    for number, field in enumerate(others.values()):
+        outlined.append((field, OTHERS[number % len(OTHERS)], LINES[number // len(OTHERS) % len(LINES)]))
+    chart = figure(9.0, 3.7)
     panels = chart.subplots(1, 3, gridspec_kw={"wspace": 0.3, "left": 0.07, "right": 0.98, "bottom": 0.22, "top": 0.85})
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
         ends = [(origin[a] - 0.5 * spacing[a], origin[a] + spacing[a] * (shape[a] - 0.5)) for a in (u, v)]
@@ -83,37 +88,31 @@ def draw_ct_slices(
         extent = (*ends[0], *ends[1])
         axes.imshow(grey, cmap="gray", vmin=low, vmax=high, origin="lower", extent=extent, interpolation="nearest")
         place = float(origin[through] + spacing[through] * at[through])
-        _outline(axes, body[1], (u, v, through), place, BODY)
-        for number, field in enumerate(others.values()):
-            _outline(axes, field, (u, v, through), place, *_look(number))
+        for field, colour, line in outlined:
+            _outline(axes, field, (u, v, through), place, colour, line)
         if points_mm is not None:
             axes.plot(points_mm[:, u], points_mm[:, v], color=PATH, linewidth=1.2)
         if normal is not None:
-            axes.annotate(
-                "",
-                (centre_mm[u] + NORMAL_MM * normal[u], centre_mm[v] + NORMAL_MM * normal[v]),
-                (centre_mm[u], centre_mm[v]),
-                arrowprops={"arrowstyle": "-|>", "color": SITE, "linewidth": 1.4, "shrinkA": 0, "shrinkB": 0},
-            )
-            axes.plot(centre_mm[u], centre_mm[v], "o", color=SITE, markersize=4)
+            _draw_site(axes, centre_mm[[u, v]], (centre_mm + NORMAL_MM * normal)[[u, v]])
         axes.set(xlabel=f"{AXES[u]} [mm]", ylabel=f"{AXES[v]} [mm]", xlim=ends[0], ylim=ends[1], aspect="equal")
         if v == 1:  # the patient's front is up, as radiologists have it
             axes.invert_yaxis()
         axes.set_title(f"{name}, {AXES[through]} {place:.1f} mm", size=9)
     chart.suptitle(title, size=10, y=0.98)
-    _legend(chart, (body[0], *others), normal is not None, points_mm is not None)
+    handles = [
+        Line2D([], [], color=colour, linestyle=line, label=name)
+        for name, (_, colour, line) in zip((body[0], *others), outlined, strict=True)
+    ]
+    if normal is not None:
+        handles.append(Line2D([], [], color=SITE, marker="o", markersize=4, label="site and normal"))
+    if points_mm is not None:
+        handles.append(Line2D([], [], color=PATH, label="path of the tip"))
+    chart.legend(handles=handles, loc="lower center", ncols=min(len(handles), 5), frameon=False)
     save(chart, path)
 
 
-def _look(number: int) -> tuple[str, Line]:
-    """Colour and line of one of the other structures."""
-    return OTHERS[number % len(OTHERS)], LINES[number // len(OTHERS) % len(LINES)]
-
-
-def _outline(
-    axes: "Axes", field: Image, order: tuple[int, int, int], place_mm: float, colour: str, line: Line = "solid"
-) -> None:
-    """The line where a field is 0 in the slice at a place along its axis."""
+def _outline(axes: "Axes", field: Image, order: tuple[int, int, int], place_mm: float, colour: str, line: Line) -> None:
+    """Draw the line where a field is 0 in the slice at a place along its axis."""
     u, v, through = order
     at = round((place_mm - field.origin_mm[through]) / field.spacing_mm[through])
     if not 0 <= at < field.values.shape[through]:
@@ -124,20 +123,10 @@ def _outline(
         axes.contour(x, y, values, levels=[0.0], colors=[colour], linestyles=[line], linewidths=[1.1])
 
 
-def _legend(chart: "Figure", names: Sequence[str], sited: bool, pathed: bool) -> None:
-    """What the colours mean, below the slices."""
-    from matplotlib.lines import Line2D
-
-    looks: list[tuple[str, Line]] = [(BODY, "solid"), *map(_look, range(len(names) - 1))]
-    lines = [
-        Line2D([], [], color=colour, linestyle=line, label=name)
-        for name, (colour, line) in zip(names, looks, strict=True)
-    ]
-    if sited:
-        lines.append(Line2D([], [], color=SITE, marker="o", markersize=4, label="site and normal"))
-    if pathed:
-        lines.append(Line2D([], [], color=PATH, label="path of the tip"))
-    chart.legend(handles=lines, loc="lower center", ncols=min(len(lines), 5), frameon=False)
+def _draw_site(axes: "Axes", centre: NDArray[np.float64], tip: NDArray[np.float64]) -> None:
+    """Draw the site as a dot with an arrow along its normal."""
+    draw_arrow(axes, centre, tip, SITE)
+    axes.plot(*centre, "o", color=SITE, markersize=4)
 
 
 AROUND_ORGAN_MM = 10.0
@@ -156,18 +145,18 @@ def draw_ct_organ(
         Its tetrahedra in the frame of the image.
     """
     organ, *parts = masks
-    spacing, origin = np.array(image.spacing_mm), np.array(image.origin_mm)
+    spacing = np.array(image.spacing_mm)
+    origin = np.array(image.origin_mm)
     low = np.floor((1e3 * mesh.nodes_m.min(axis=0) - AROUND_ORGAN_MM - origin) / spacing).astype(int).clip(0)
     high = np.ceil((1e3 * mesh.nodes_m.max(axis=0) + AROUND_ORGAN_MM - origin) / spacing).astype(int) + 1
     part = tuple(map(slice, low.tolist(), np.minimum(high, image.values.shape).tolist()))
     around = part_of(image, part)
     smallest = min(parts or [organ], key=lambda name: int(np.count_nonzero(masks[name])))
     middle = origin + spacing * np.argwhere(masks[smallest]).mean(axis=0)
-    vertices, faces = mesh.nodes_m, mesh.surface
     sizes = zip(around.origin_mm, around.spacing_mm, around.values.shape, strict=True)
     axes = [o + s * np.arange(n) for o, s, n in sizes]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    depth = -triangle_distance(vertices, faces, 1e-3 * grid).reshape(around.values.shape)
+    depth = -triangle_distance(mesh.nodes_m, mesh.surface, 1e-3 * grid).reshape(around.values.shape)
     draw_ct_slices(
         around,
         path,
@@ -181,8 +170,8 @@ def draw_ct_organ(
     )
 
 
-HEAD_PX, FOOT_PX, AXES_PX = 110, 150, 150
-PLAIN = (0.93, 0.89, 0.81)
+HEAD_PX, FOOT_PX, PATH_FOOT_PX, AXES_PX = 110, 150, 330, 150
+"""Heights above and below the renderings, and edge of the small axes [pixel]."""
 UNDER_MM = 2.0
 """Depth at which the density is read that a point of the surface shows."""
 DENSITIES = (0.0, 1800.0)
@@ -219,40 +208,35 @@ def draw_ct_bone(
     -------
     None, or why it could not be drawn.
     """
-    import pyvista
-
-    mesh = pyvista.PolyData.from_regular_faces(1e3 * surface.vertices_m, surface.faces.astype(int))
-    mesh = mesh.compute_normals(split_vertices=False)
-    mesh = paint(mesh, _colours(mesh, density))
+    mesh = _painted(surface, density)
     eyes = _eyes(normal)
-    cameras = [Camera.seeing(mesh.points, eye, up) for eye, up in eyes.values()]
-    pictures = render(lambda: [(mesh, camera) for camera in cameras], fine=is_vector(path))
-    if isinstance(pictures, str):
-        return pictures
-    with DRAWING:
-        chart, panels, (wide, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX, fine=is_vector(path))
-        chart.text(0.5, 1.0 - 35 / tall, title, ha="center", va="center", size=11)
-        for axes, name, camera in zip(panels, eyes, cameras, strict=True):
-            axes.set_title(name, size=10)
-            draw_scale(axes, camera)
+
+    def make() -> "list[tuple[pyvista.PolyData, Camera]]":
+        return [(mesh, Camera.seeing(mesh.points, eye, up)) for eye, up in eyes.values()]
+
+    def annotate(shaded: Shaded) -> None:
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+
+        wide, tall = shaded.size_px
+        foot = FOOT_PX / tall
+        for axes, camera, left in zip(shaded.panels, shaded.cameras, (0.06, 0.84), strict=True):
             if points_mm is not None:
                 axes.plot(*camera.pixels(points_mm).T, color=PATH, linewidth=1.5)
             if centre_mm is not None and normal is not None:
-                one, other = camera.pixels(np.stack([centre_mm, centre_mm + 15.0 * normal]))
-                arrow = {"arrowstyle": "-|>", "color": SITE, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0}
-                axes.annotate("", other, one, arrowprops=arrow)
-                axes.plot(*one, "o", color=SITE, markersize=5)
-        for left, camera in zip((0.06, 0.84), cameras, strict=True):
-            small = chart.add_axes((left, 0.02, AXES_PX / wide, 0.9 * FOOT_PX / tall))
-            draw_axes(small, ("left", "back", "head"), camera)
+                _draw_site(axes, *camera.pixels(np.stack([centre_mm, centre_mm + 15.0 * normal])))
+            draw_axes(shaded.chart.add_axes((left, 0.02, AXES_PX / wide, 0.9 * foot)), AXES, camera)
         if density is not None:
-            _scale(chart, FOOT_PX / tall)
-        save(chart, path)
-    return None
+            bar = shaded.chart.add_axes((0.32, 0.62 * foot, 0.36, 0.13 * foot))
+            mapped = ScalarMappable(Normalize(*DENSITIES), COLOURS)
+            shaded.chart.colorbar(mapped, cax=bar, orientation="horizontal", extend="max")
+            bar.set_xlabel(f"apparent density {UNDER_MM:g} mm under the surface [kg/m³]")
+
+    return draw_shaded(make, path, annotate, margins_px=(HEAD_PX, FOOT_PX), title=title, names=list(eyes))
 
 
 def _eyes(normal: NDArray[np.float64] | None) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Directions to the eye and upward of each panel, by its title."""
+    """Return the directions to the eye and upward of each panel, by its title."""
     head = np.array([0.0, 0.0, 1.0])
     if normal is None:
         front = np.array(FRONT)
@@ -262,31 +246,23 @@ def _eyes(normal: NDArray[np.float64] | None) -> dict[str, tuple[NDArray[np.floa
     return {"along the site's axis": (normal, upright), "from aside": (aside + 0.25 * upright, upright)}
 
 
-def _colours(mesh: "pyvista.PolyData", density: Image | None) -> NDArray[np.float64]:
-    """Colour of each point by the density under it."""
-    if density is None:
-        return np.tile(PLAIN, (mesh.n_points, 1))
+def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
+    """Return the bone, each point in the colour of the density under it."""
+    import pyvista
     from matplotlib import colormaps
     from scipy.ndimage import map_coordinates
 
+    mesh = pyvista.PolyData.from_regular_faces(1e3 * surface.vertices_m, surface.faces.astype(int))
+    mesh = mesh.compute_normals(split_vertices=False)
+    if density is None:
+        return paint(mesh, np.tile(BONE, (mesh.n_points, 1)))
     points = np.asarray(mesh.points) - UNDER_MM * np.asarray(mesh.point_data["Normals"])
     at = (points - np.array(density.origin_mm)) / np.array(density.spacing_mm)
     found = map_coordinates(density.values.astype(np.float32), at.T, order=1, mode="nearest")
     low, high = DENSITIES
-    return np.asarray(colormaps[COLOURS](np.clip((found - low) / (high - low), 0.0, 1.0)))[:, :3]
+    return paint(mesh, np.asarray(colormaps[COLOURS](np.clip((found - low) / (high - low), 0.0, 1.0)))[:, :3])
 
 
-def _scale(chart: "Figure", foot: float) -> None:
-    """The scale of densities below the panels."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    bar = chart.add_axes((0.32, 0.62 * foot, 0.36, 0.13 * foot))
-    chart.colorbar(ScalarMappable(Normalize(*DENSITIES), COLOURS), cax=bar, orientation="horizontal", extend="max")
-    bar.set_xlabel(f"apparent density {UNDER_MM:g} mm under the surface [kg/m³]")
-
-
-PATH_FOOT_PX = 330
 OUTSIDE, PATH_COLOURS = "0.45", "inferno_r"
 AROUND_PATH_MM = 40.0
 """Half of the width of bone that is shown around the path at least."""
@@ -312,56 +288,44 @@ def draw_path_depth(
     -------
     None, or why it could not be drawn.
     """
-    import pyvista
-
     points = found.points_mm
-    mesh = pyvista.PolyData.from_regular_faces(1e3 * surface.vertices_m, surface.faces.astype(int))
-    mesh = mesh.compute_normals(split_vertices=False)
-    mesh = paint(mesh, np.tile(PLAIN, (mesh.n_points, 1)))
-    upright = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.9 else np.array([0.0, -1.0, 0.0])
-    aside = np.cross(upright, normal)
-    eyes = {"along the site's axis": normal, "from aside": aside + 0.25 * upright}
     half = max(AROUND_PATH_MM, 0.7 * float(np.ptp(points, axis=0).max()))
     corners = points.mean(axis=0) + half * (np.stack(np.meshgrid(*[[-1, 1]] * 3), axis=-1).reshape(-1, 3) * 0.6)
-    cameras = [Camera.seeing(corners, eye, upright) for eye in eyes.values()]
-    pictures = render(lambda: [(mesh, camera) for camera in cameras], fine=is_vector(path))
-    if isinstance(pictures, str):
-        return pictures
-    with DRAWING:
+    mesh = _painted(surface, None)
+    eyes = _eyes(normal)
+
+    def make() -> "list[tuple[pyvista.PolyData, Camera]]":
+        return [(mesh, Camera.seeing(corners, eye, up)) for eye, up in eyes.values()]
+
+    def annotate(shaded: Shaded) -> None:
         from matplotlib import colormaps
         from matplotlib.collections import LineCollection
 
-        chart, panels, (wide, tall) = side_by_side(
-            pictures, head_px=HEAD_PX, foot_px=PATH_FOOT_PX, fine=is_vector(path)
-        )
-        chart.text(0.5, 1.0 - 35 / tall, title, ha="center", va="center", size=11)
-        middle, deepest = 0.5 * (found.depth_mm[1:] + found.depth_mm[:-1]), max(found.deepest_mm, 1e-6)
+        middle = 0.5 * (found.depth_mm[1:] + found.depth_mm[:-1])
+        deepest = max(found.deepest_mm, 1e-6)
         shades = colormaps[PATH_COLOURS](0.15 + 0.85 * np.clip(middle / deepest, 0.0, 1.0))
         inside = middle > 0.0
-        for axes, name, camera in zip(panels, eyes, cameras, strict=True):
-            axes.set_title(name, size=10)
-            draw_scale(axes, camera)
-            pixels = camera.pixels(points)
-            pieces = np.stack([pixels[:-1], pixels[1:]], axis=1)
-            axes.add_collection(LineCollection(list(pieces[~inside]), colors=OUTSIDE, linewidths=1.0))
+
+        def add_line(axes: "Axes", line: NDArray[np.float64]) -> None:
+            pieces = np.stack([line[:-1], line[1:]], axis=1)
+            axes.add_collection(LineCollection(list(pieces[~inside]), colors=OUTSIDE, linewidths=1.1))
             axes.add_collection(LineCollection(list(pieces[inside]), colors=shades[inside], linewidths=2.2))
-        small = chart.add_axes((0.02, 0.02, AXES_PX / wide, AXES_PX / tall))
-        draw_axes(small, ("left", "back", "head"), cameras[0])
+
+        for axes, camera in zip(shaded.panels, shaded.cameras, strict=True):
+            add_line(axes, camera.pixels(points))
+        wide, tall = shaded.size_px
+        draw_axes(shaded.chart.add_axes((0.02, 0.02, AXES_PX / wide, AXES_PX / tall)), AXES, shaded.cameras[0])
+        low = shaded.chart.add_axes((0.2, 0.32 * PATH_FOOT_PX / tall, 0.75, 0.55 * PATH_FOOT_PX / tall))
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        low = chart.add_axes((0.2, 0.32 * PATH_FOOT_PX / tall, 0.75, 0.55 * PATH_FOOT_PX / tall))
-        curve = np.stack([along, found.depth_mm], axis=1)
-        pieces = np.stack([curve[:-1], curve[1:]], axis=1)
         low.axhline(0.0, color="0.3", linewidth=0.8)
-        low.add_collection(LineCollection(list(pieces[~inside]), colors=OUTSIDE, linewidths=1.2))
-        low.add_collection(LineCollection(list(pieces[inside]), colors=shades[inside], linewidths=2.0))
+        add_line(low, np.column_stack([along, found.depth_mm]))
         low.autoscale_view()
         low.margins(x=0.0)
         low.invert_yaxis()
-        low.set_xlabel("path length [mm]")
-        low.set_ylabel("depth [mm]")
+        low.set(xlabel="path length [mm]", ylabel="depth [mm]")
         low.set_title(f"deepest {found.deepest_mm:.1f} mm", loc="right", size=9)
-        save(chart, path)
-    return None
+
+    return draw_shaded(make, path, annotate, margins_px=(HEAD_PX, PATH_FOOT_PX), title=title, names=list(eyes))
 
 
 ALL, INSIDE, LEVEL = "0.6", "#E69F00", "#D55E00"

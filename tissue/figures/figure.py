@@ -4,16 +4,17 @@ from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, ParamSpec, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.patheffects import AbstractPathEffect
     from matplotlib.typing import LineStyleType, RcKeyType
 
     from tissue.simulation.depth_map import DepthMap
@@ -29,9 +30,11 @@ __all__ = [
     "VECTOR_DPI",
     "axis_names",
     "depth_limit",
+    "draw_arrow",
     "draw_outline",
     "field_colours",
     "figure",
+    "halo",
     "is_vector",
     "layer_colours",
     "plain",
@@ -112,12 +115,7 @@ def plain(panels: "Iterable[Axes]") -> None:
         axes.margins(x=0.0)
 
 
-class _Edge(TypedDict):
-    edgecolor: str
-    linewidth: float
-
-
-EDGE: _Edge = {"edgecolor": "0.3", "linewidth": 0.5}
+EDGE: dict[str, Any] = {"edgecolor": "0.3", "linewidth": 0.5}
 """Edge of a patch in a legend."""
 BONE = (0.93, 0.89, 0.81)
 """Colour of bone that was not cut."""
@@ -198,3 +196,16 @@ def draw_outline(
     u, v = (low + (high - low) / count * (np.arange(-1, count + 1) + 0.5) for low, high, count in ends)
     padded = np.pad(values, 1).T.astype(float)
     axes.contour(u, v, padded, levels=[0.5], colors=[color], linewidths=[linewidth], linestyles=[linestyle])
+
+
+def draw_arrow(axes: "Axes", start: ArrayLike, end: ArrayLike, colour: str, *, width: float = 1.6) -> None:
+    """Draw an arrow between two points of a panel."""
+    look = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", np.asarray(end), np.asarray(start), arrowprops=look)
+
+
+def halo(width: float = 4.0) -> "list[AbstractPathEffect]":
+    """Return path effects that keep a line or text legible on any ground."""
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=width, foreground="white")]

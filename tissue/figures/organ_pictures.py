@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.figures.figure import DRAWING, field_colours, is_vector, save
+from tissue.figures.figure import field_colours, halo
 from tissue.figures.organ_surface import SHOWN, at_nodes, drawn_surface, inclusions, section_cap, with_normals
-from tissue.figures.rendering import FIELD_AMBIENT, Camera, draw_axes, draw_scale, paint, render, side_by_side
+from tissue.figures.rendering import FIELD_AMBIENT, Camera, Shaded, draw_axes, draw_shaded, paint
 from tissue.figures.tool_mesh import pose
 from tissue.simulation.saved_fields import IN_MM, field_label, field_limits, field_values
 from tissue.simulation.series import CELL_TYPES, frame_mesh
@@ -31,7 +31,8 @@ NUDGE = (0.0, 1e-4, 0.0)
 """How far behind the tool's tip a section lies [mm]: beside a row of nodes, not through it."""
 ABOVE = 0.2
 """How much of a needle above an organ is drawn, in heights of the organ."""
-HEAD_PX, FOOT_PX = 90, 150
+HEIGHTS_PX = 90, 150
+"""Above and below the renderings [pixel]."""
 
 
 @dataclass(frozen=True)
@@ -109,10 +110,9 @@ def draw_press(
     tips = trace.vectors("tool", "mm")[row]
     eye = ACROSS if flat else EYE
     edge = _edge_of_inclusion(mesh, tips)
-    cameras: list[Camera] = []
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
-        """The deformed organ, whole and cut open, and what sees it."""
+        """Return the deformed organ, whole and cut open, with the tool."""
         import pyvista
 
         place = pose(tips, [trace[f"tool_q{c}"][row] for c in "xyzw"])
@@ -124,33 +124,28 @@ def draw_press(
         side = with_normals(probe) if probe.n_points else probe
         paint(side, np.tile(TOOL, (side.n_points, 1)))
         seen = np.vstack([organ, np.asarray(side.points).reshape(-1, 3)])
-        cameras.append(Camera.seeing(seen, eye, (0.0, 0.0, 1.0)))
-        return [(each.append_polydata(side) if side.n_cells else each, cameras[0]) for each in surfaces]
+        camera = Camera.seeing(seen, eye, (0.0, 0.0, 1.0))
+        return [(each.append_polydata(side) if side.n_cells else each, camera) for each in surfaces]
 
-    pictures = render(make, fine=is_vector(path), ambient=FIELD_AMBIENT)
-    if isinstance(pictures, str):
-        return pictures
-    force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
-    with DRAWING:
-        chart, panels, (_, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX, fine=is_vector(path))
-        title = f"{title}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
-        chart.text(0.5, 1.0 - 0.45 * HEAD_PX / tall, title, ha="center", va="center", size=11)
-        for axes, each in zip(panels, shown, strict=True):
-            left, foot, wide, _ = axes.get_position().bounds
-            draw_scale(axes, cameras[0])
+    def annotate(shaded: Shaded) -> None:
+        foot = HEIGHTS_PX[1] / shaded.size_px[1]
+        for axes, each in zip(shaded.panels, shown, strict=True):
+            left, _, wide, _ = axes.get_position().bounds
             if each.opened and edge is not None:
-                _name_inclusion(axes, *edge, cameras[0])
-            place = chart.add_axes((left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot))
-            bar = chart.colorbar(each.colours, cax=place, orientation="horizontal")
+                _name_inclusion(axes, *edge, shaded.cameras[0])
+            place = shaded.chart.add_axes((left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot))
+            bar = shaded.chart.colorbar(each.colours, cax=place, orientation="horizontal")
             words = " / ".join(part for part in field_label(each.name) if part)
             bar.set_label(words + (", cut open at the tool" if each.opened else ""))
             if each.ends[0] > 0.0:
                 ticks = np.geomspace(*each.ends, 4).tolist()
                 bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
                 bar.minorticks_off()
-        draw_axes(chart.add_axes((0.0, 0.0, 0.12, foot)), "xyz", cameras[0])
-        save(chart, path)
-    return None
+        draw_axes(shaded.chart.add_axes((0.0, 0.0, 0.12, foot)), "xyz", shaded.cameras[0])
+
+    force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
+    title = f"{title}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
+    return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, title=title, ambient=FIELD_AMBIENT)
 
 
 def _organ(
@@ -197,12 +192,9 @@ def _edge_of_inclusion(
 
 def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: Camera) -> None:
     """The inclusion's name below its outline."""
-    from matplotlib.patheffects import withStroke
-
     pixels = camera.pixels(line.points)
     x, y = pixels[pixels[:, 1].argmax()]
-    around = [withStroke(linewidth=2.5, foreground="white")]
-    axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=around)
+    axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=halo(2.5))
 
 
 def _row(trace: Table, frame: Frame) -> int:
@@ -220,7 +212,7 @@ def _greatest(frame: Frame) -> float:
 
 FREE, HELD, TOUCHABLE = (0.93, 0.91, 0.87), (0.902, 0.624, 0.0), (0.0, 0.447, 0.698)
 EYES = {"from above": (0.25, -0.75, 0.62), "from below": (0.25, -0.75, -0.62)}
-HELD_HEAD_PX, HELD_FOOT_PX = 110, 80
+HELD_HEIGHTS_PX = 110, 80
 
 
 def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
@@ -230,31 +222,20 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
     -------
     None, or why it could not be drawn.
     """
-    from matplotlib.patches import Patch
-
     surface = _surface(series)
-    up = (0.0, 0.0, 1.0)
-    cameras = [Camera.seeing(surface.points, eye, up) for eye in EYES.values()]
-    pictures = render(lambda: [(surface, camera) for camera in cameras], fine=is_vector(path))
-    if isinstance(pictures, str):
-        return pictures
-    with DRAWING:
-        chart, panels, (_, tall) = side_by_side(
-            pictures, head_px=HELD_HEAD_PX, foot_px=HELD_FOOT_PX, fine=is_vector(path)
-        )
-        chart.text(0.5, 1.0 - 35 / tall, f"{title}: what holds the organ", ha="center", va="center", size=11)
-        for axes, name, camera in zip(panels, EYES, cameras, strict=True):
-            axes.set_title(name, size=10)
-            draw_scale(axes, camera)
+
+    def make() -> "list[tuple[pyvista.PolyData, Camera]]":
+        return [(surface, Camera.seeing(surface.points, eye, (0.0, 0.0, 1.0))) for eye in EYES.values()]
+
+    def annotate(shaded: Shaded) -> None:
+        from matplotlib.patches import Patch
+
         named = (("held", HELD), ("may be touched", TOUCHABLE), ("free", FREE))
-        chart.legend(
-            handles=[Patch(facecolor=colour, edgecolor="0.4", label=name) for name, colour in named],
-            loc="lower center",
-            ncols=3,
-            frameon=False,
-        )
-        save(chart, path)
-    return None
+        handles = [Patch(facecolor=colour, edgecolor="0.4", label=name) for name, colour in named]
+        shaded.chart.legend(handles=handles, loc="lower center", ncols=3, frameon=False)
+
+    title = f"{title}: what holds the organ"
+    return draw_shaded(make, path, annotate, margins_px=HELD_HEIGHTS_PX, title=title, names=list(EYES))
 
 
 def _surface(series: FieldSeries) -> "pyvista.PolyData":
