@@ -119,7 +119,8 @@ def show_folder(folder: Path, chosen: dict[str, Any], *, interactive: bool | Non
 def _turned(folder: Path, chosen: dict[str, Any]) -> Any:
     """What a notebook shows and turns by the mouse, drawn by this process."""
     from tissue.simulation.run_folder import SavedRun
-    from tissue.viewer.window import Choice, Window
+    from tissue.viewer.run_scene import Choice
+    from tissue.viewer.window import Window
 
     saved = SavedRun(folder)
     window = Window(saved, str(saved.summary.get("scene", "run")), Choice(**chosen), off_screen=True)

@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import to_hex
 
 from tissue.figures.figure import COMPONENTS, SMALL_NM, layer_colours
 from tissue.models.tissue_model import TICK_S
 from tissue.reporting.packing import Record, packed, packed_column
-from tissue.reporting.stage import hexadecimal
 from tissue.scene.scene import Scene
 from tissue.simulation.saved_fields import UNITS
 from tissue.simulation.trace import Table
@@ -37,7 +37,7 @@ def columns(trace: Table) -> Record:
         "columns": {name: packed_column(trace[name]) for name in kept},
         "labels": {name: column_label(name) for name in kept if not name.startswith(HIDDEN)},
         "layer": packed(layers),
-        "layers": [[name, hexadecimal(colours[name])] for name in trace.layer_names],
+        "layers": [[name, to_hex(colours[name])] for name in trace.layer_names],
     }
 
 

@@ -1,41 +1,40 @@
 """The 3D view of a report: bone or organ over time, tool, force and colour scales."""
 
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from tissue.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, layer_colours
+from tissue.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, field_colours, layer_colours
+from tissue.figures.organ_surface import with_normals
 from tissue.figures.tool_mesh import turning_tool
 from tissue.reporting.packing import Record, packed, packed_mesh, packed_shares, packed_vectors
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.simulation.run_folder import SavedRun, saved_placement
-from tissue.simulation.saved_fields import SavedFields, field_label, field_names, field_values
+from tissue.simulation.saved_fields import SavedFields, field_label, field_values
 from tissue.simulation.trace import Table
 from tissue.simulation.vtk_files import mesh_in_scene
-from tissue.viewer.saved_surfaces import bone_of, faces_of
+from tissue.viewer.saved_surfaces import bone_of, cut_plane, faces_of, saved_fields, tool_force
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["Shown", "bone_shown", "depth_scale", "field_scale", "fields_shown", "hexadecimal", "layer_scale", "stage"]
+__all__ = ["Shown", "bone_shown", "depth_scale", "field_scale", "fields_shown", "layer_scale", "stage"]
 
 TOOL, DEVICE, PATH, FORCE = "#808080", "#D55E00", "#D55E00", COMPONENTS[0]
-INSIDE_MM = 1e-4
-"""How far beside the tool's deepest point an organ is cut open, so that the plane goes through no face of its mesh."""
 MOST_POSES = 6000
 """Poses of the tool; between them the browser interpolates."""
 MOST_POINTS = 3000
 """Points of the path that is drawn."""
-EDGE_DEG = 35.0
-"""Angle between triangles from which on they meet in an edge."""
 LONGEST = 0.3
 """Length of the arrow of the greatest force, in sizes of what the tool meets."""
 
@@ -72,13 +71,16 @@ def stage(saved: SavedRun) -> Record:
     group of parts [mm]; of a run with ticks also ``poses`` of the tool, ``force`` and ``peak_row``.
     """
     scene = saved.scene
-    groups = {
-        name: shown for name, shown in (("bone", bone_shown(saved)), ("field", _fields(saved))) if shown is not None
-    }
+    fields = saved_fields(saved)
+    groups: dict[str, Shown] = {}
+    if (bone := bone_shown(saved)) is not None:
+        groups["bone"] = bone
+    if fields is not None:
+        groups["field"] = fields_shown(fields, cut_plane(saved, fields))
     parts = [part for shown in groups.values() for part in shown.parts]
     around, faces = Shown(), faces_of(scene)
     for name, colour in layer_colours(tuple(faces)).items():
-        parts.append({**_still(faces[name]), "colour": hexadecimal(colour), "opacity": 0.4, "label": name})
+        parts.append({**_still(faces[name]), "colour": to_hex(colour), "opacity": 0.4, "label": name})
         around.see(faces[name].points)
     record: Record = {
         "parts": parts,
@@ -98,16 +100,6 @@ def _ends(points_mm: NDArray[np.float64]) -> list[list[float]]:
     if not len(points_mm):
         return [[-1.0] * 3, [1.0] * 3]
     return [points_mm.min(axis=0).tolist(), points_mm.max(axis=0).tolist()]
-
-
-def _fields(saved: SavedRun) -> Shown | None:
-    if not field_names(saved.path):
-        return None
-    fields = SavedFields(saved.path)
-    x, y, z = map(float, fields.frames[0].center)
-    if saved.trace is not None and len(saved.trace.rows):
-        y = float(saved.trace["tool_y_mm"][saved.trace["tool_z_mm"].argmin()])
-    return fields_shown(fields, ((0.0, -1.0, 0.0), (x, y + INSIDE_MM, z)))
 
 
 def _add_tool(record: Record, trace: Table, scene: Scene | None, around: Shown, *, size_mm: float) -> None:
@@ -134,7 +126,7 @@ def _add_tool(record: Record, trace: Table, scene: Scene | None, around: Shown, 
     record["parts"].append({"line": packed_vectors(path), "colour": PATH, "label": "path of the tip"})
     arrow = pyvista.Arrow(shaft_radius=0.025, tip_radius=0.06, tip_length=0.18).triangulate()
     record["parts"].append({**_still(arrow), "follows": "force", "colour": FORCE, "label": "force on the tool"})
-    force = trace.vectors("model_force" if "model_force_x_N" in trace else "force", "N")
+    force = tool_force(trace)
     row = int(np.linalg.norm(force, axis=1).argmax())
     greatest = float(np.linalg.norm(force[row]))
     around.see([tips[row], tips[row] + longest * force[row] / max(greatest, 1e-9)])
@@ -142,12 +134,9 @@ def _add_tool(record: Record, trace: Table, scene: Scene | None, around: Shown, 
 
 
 def _still(surface: "pyvista.PolyData") -> Record:
-    """One surface that keeps its shape, of its own points on either side of an edge."""
-    surface = surface.triangulate().compute_normals(
-        cell_normals=False, split_vertices=True, feature_angle=EDGE_DEG, consistent_normals=False
-    )
-    points: Any = surface.points
-    mesh, _ = packed_mesh(points, surface.regular_faces)
+    """Return the record of a surface that keeps its shape. Edges have points of their own on either side."""
+    surface = with_normals(surface.triangulate())
+    mesh, _ = packed_mesh(surface.points, surface.regular_faces)
     return {"times": [0.0], "meshes": [mesh], "frames": [{"mesh": 0}], "smooth": True}
 
 
@@ -294,59 +283,40 @@ def _is_same(a: Any, b: Any) -> bool:
 
 UNCUT = 0.02
 """Share of the deepest cut below which bone has its own colour."""
-SIGNED, STRESS, OTHER = "coolwarm", "inferno", "viridis"
-"""As in the window of `tissue view`, for colour-blind readers too (Moreland 2009; van der Walt and Smith 2015)."""
 
 
 def depth_scale(deepest_mm: float) -> Record:
-    """Removed depth; bone that was not cut has its own colour."""
+    """Return the scale of removed depth. Bone that was not cut has its own colour."""
     colours = _colours(DEPTH_COLOURS)
     colours[: round(UNCUT * len(colours))] = np.array(BONE)
-    return {
-        "label": "removed depth",
-        "unit": "mm",
-        "array": "depth",
-        "low": 0.0,
-        "high": deepest_mm,
-        "logarithmic": False,
-        **_table(colours),
-    }
-
-
-def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
-    """Layers by their colours; the legend names those that are shown."""
-    colours = layer_colours(tuple(names))
-    table = np.zeros((256, 3))
-    table[: len(names)] = np.array([colours[name] for name in names])
-    legend = [[names[index], hexadecimal(colours[names[index]])] for index in shown]
-    return {"label": "layer", "unit": "", "array": "layer", "names": legend, **_table(table)}
+    return _scale("removed depth", "mm", "depth", (0.0, deepest_mm), colours)
 
 
 def field_scale(name: str, limits: tuple[float, float]) -> Record:
-    """A field over the range of the whole run, logarithmic where it begins above 0."""
+    """Return the scale of a field over the whole run, logarithmic where it begins above 0."""
     words, unit = field_label(name)
+    return _scale(words, unit, name, limits, _colours(field_colours(*limits)))
+
+
+def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
+    """Return the colours of layers. The legend names those that are shown."""
+    colours = layer_colours(tuple(names))
+    table = np.zeros((256, 3))
+    table[: len(names)] = np.array([colours[name] for name in names])
+    legend = [[names[index], to_hex(colours[names[index]])] for index in shown]
+    return {"label": "layer", "unit": "", "array": "layer", "names": legend, "colours": _table(table)}
+
+
+def _scale(label: str, unit: str, array: str, limits: tuple[float, float], colours: NDArray[np.float64]) -> Record:
+    """Return the record of a scale of numbers."""
     low, high = limits
-    return {
-        "label": words,
-        "unit": unit,
-        "array": name,
-        "low": low,
-        "high": high,
-        "logarithmic": low > 0.0,
-        **_table(_colours(SIGNED if low < 0.0 else STRESS if low > 0.0 else OTHER)),
-    }
+    ends = {"low": low, "high": high, "logarithmic": low > 0.0}
+    return {"label": label, "unit": unit, "array": array, **ends, "colours": _table(colours)}
 
 
-def hexadecimal(colour: Sequence[float]) -> str:
-    """A colour as ``#rrggbb``."""
-    return "#" + "".join(f"{round(255 * part):02x}" for part in colour[:3])
+def _colours(name: str) -> NDArray[np.float64]:
+    return np.array(colormaps[name](np.linspace(0.0, 1.0, 256)))[:, :3]
 
 
-def _colours(name: str) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    import matplotlib
-
-    return np.asarray(matplotlib.colormaps[name](np.linspace(0.0, 1.0, 256)))[:, :3].copy()
-
-
-def _table(colours: "np.ndarray[tuple[int, int], np.dtype[np.float64]]") -> Mapping[str, str]:
-    return {"colours": b64encode(np.rint(255 * colours).astype(np.uint8).tobytes()).decode("ascii")}
+def _table(colours: NDArray[np.float64]) -> str:
+    return b64encode(np.rint(255 * colours).astype(np.uint8).tobytes()).decode("ascii")

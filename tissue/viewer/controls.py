@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.simulation.saved_fields import field_label
-from tissue.viewer.fields import REFERENCE, FieldsShown, Plane, interpolated
-from tissue.viewer.plotter import Plotter
+from tissue.viewer.fields import REFERENCE, FieldsShown, interpolated
+from tissue.viewer.plotter import Plotter, add_slider, add_text, picked
+from tissue.viewer.saved_surfaces import Plane
 
 if TYPE_CHECKING:
     from vtkmodules.vtkInteractionWidgets import vtkImplicitPlaneWidget
@@ -31,8 +32,8 @@ class LayerKeys:
         Layers; the first has the key 1.
     hidden
         Layers that are off at first.
-    targets
-        Each is called with the layers that are off, now and whenever they change.
+    hide
+        Called with the layers that are off, now and whenever they change.
 
     Attributes
     ----------
@@ -48,9 +49,10 @@ class LayerKeys:
         names: Sequence[str],
         *,
         hidden: Sequence[str] = (),
-        targets: Sequence[Callable[[frozenset[str]], None]],
+        hide: Callable[[frozenset[str]], None],
     ) -> None:
-        self._plotter, self._targets = plotter, tuple(targets)
+        self._plotter = plotter
+        self._hide = hide
         self.hidden: frozenset[str] = frozenset()
         keys = dict(enumerate(names[:MOST], 1)) if len(names) > 1 else {}
         listed = "  ".join(f"{number}: {name}" for number, name in keys.items())
@@ -63,8 +65,7 @@ class LayerKeys:
     def toggle(self, *names: str) -> None:
         """Switch layers on or off."""
         self.hidden ^= frozenset(names)
-        for report in self._targets:
-            report(self.hidden)
+        self._hide(self.hidden)
         self._plotter.render()
 
 
@@ -179,25 +180,16 @@ class PointRead:
             pyvista.Sphere(radius=0.5 * size_mm), color=MARK, name="mark", reset_camera=False, render=False
         )
         self._mark.SetVisibility(False)
-        self._words = plotter.add_text("", position=(0.012, 0.36), viewport=True, font_size=10, color="black")
+        self._words = add_text(plotter, "", (0.012, 0.36), size=10)
         fields.drawn.append(self.update)
 
     def click(self, x: int, y: int) -> bool:
         """Mark what lies under a pixel, counted from the lower left; whether there was anything."""
-        from vtkmodules.vtkRenderingCore import vtkCellPicker
-
-        if self._fields.actor is None:
+        actor = self._fields.actor
+        found = None if actor is None else picked(self._plotter, actor, x, y)
+        if actor is None or found is None:
             return False
-        picker = vtkCellPicker()
-        picker.SetTolerance(1e-4)
-        picker.InitializePickList()
-        picker.AddPickList(self._fields.actor)
-        picker.PickFromListOn()
-        if not picker.Pick(float(x), float(y), 0.0, self._plotter.renderer) or picker.GetCellId() < 0:
-            return False
-        mesh = self._fields.actor.mapper.dataset
-        place = np.array(picker.GetPickPosition())
-        self.reference_mm = interpolated(mesh, picker.GetCellId(), place, REFERENCE)
+        self.reference_mm = interpolated(actor.mapper.dataset, *found, REFERENCE)
         self.update()
         return True
 
@@ -252,7 +244,7 @@ class NameList:
     ) -> None:
         self._plotter, self._names, self._choose = plotter, list(names), choose
         self._words = [
-            plotter.add_text(words, position=(LEFT, TOP - ROW * row), viewport=True, font_size=10, color="black")
+            add_text(plotter, words, (LEFT, TOP - ROW * row), size=10)
             for row, words in enumerate([title, *(words for _, words in self._names)])
         ][1:]
 
@@ -321,20 +313,7 @@ class Playback:
         self._rate = min((span_s[1] - span_s[0]) / slowest_s, 1.0)
         self.time_s, self.playing, self._shown_s = begin_s, False, 0.0
         self._mark_button: Callable[[int], None] = lambda playing: None
-        left, right, height = slider
-        self._slider = plotter.add_slider_widget(
-            self._drag,
-            span_s,
-            value=begin_s,
-            fmt="%.3f s",
-            pointa=(left, height),
-            pointb=(right, height),
-            color="black",
-            title_height=0.024,
-            slider_width=0.012,
-            tube_width=0.003,
-            interaction_event="always",
-        )
+        self._slider = add_slider(plotter, self._drag, span_s, begin_s, place=slider, fmt="%.3f s")
 
     def start(self) -> None:
         """Bind the key, add the button and start the clock of a window that is about to open."""
@@ -343,7 +322,7 @@ class Playback:
             self._press, position=(14.0, 282.0), size=28, border_size=3, color_on="#0072B2", color_off="#BBBBBB"
         )
         self._mark_button = button.GetRepresentation().SetState
-        plotter.add_text("play", position=(0.035, 0.298), viewport=True, font_size=9, color="black")
+        add_text(plotter, "play", (0.035, 0.298))
         plotter.add_key_event(PLAY_KEY, self.switch)
         plotter.iren.add_observer("TimerEvent", lambda *_: self.tick(perf_counter()))
         plotter.iren.initialize()

@@ -12,14 +12,13 @@ from tissue.figures.organ_surface import SHOWN as DRAWN
 from tissue.figures.organ_surface import at_nodes, drawn_surface
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
 from tissue.viewer.plotter import Plotter, add_colour_scale
+from tissue.viewer.saved_surfaces import Plane
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["REFERENCE", "FieldsShown", "Plane", "PointValues", "interpolated"]
+__all__ = ["REFERENCE", "FieldsShown", "PointValues", "interpolated"]
 
-Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Normal and a point [mm]; what lies on the normal's side is left out."""
 TETRAHEDRON = 10
 """VTK's number of the cell."""
 AMBIENT, DIFFUSE = 0.78, 0.25

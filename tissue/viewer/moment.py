@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from tissue.figures.figure import COMPONENTS
 from tissue.figures.tool_mesh import pose
 from tissue.simulation.trace import Table
-from tissue.viewer.plotter import Plotter
+from tissue.viewer.plotter import Plotter, add_text
+from tissue.viewer.saved_surfaces import tool_force
 
 if TYPE_CHECKING:
     import pyvista
@@ -53,7 +54,7 @@ class MomentShown:
 
         self._trace = trace
         self._tips = trace.vectors("tool", "mm")
-        self._force = trace.vectors("model_force" if "model_force_x_N" in trace else "force", "N")
+        self._force = tool_force(trace)
         self._turns = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
         every = slice(None, None, max(len(trace.rows) // MOST_POINTS, 1))
         path = self._tips[every]
@@ -65,7 +66,7 @@ class MomentShown:
         self._tool = ToolShown(plotter, tool, longest_mm=self._longest, opacity=0.35)
         self._charted = chart
         if chart:
-            self._text = plotter.add_text("", position=(0.012, 0.932), viewport=True, font_size=11, color="black")
+            self._text = add_text(plotter, "", (0.012, 0.932), size=11)
             self._chart, self._cursor = _chart(plotter, trace, every)
 
     @property
@@ -116,7 +117,7 @@ def _chart(
 
     chart = pyvista.Chart2D(size=(0.98, CHART_SHARE), loc=(0.01, 0.0), x_label="time / s", y_label="force / N")
     time, force = trace["time_s"][every], trace.vectors("force", "N")[every]
-    model = trace.vectors("model_force", "N")[every] if "model_force_x_N" in trace else force
+    model = tool_force(trace)[every]
     low, high = 0.0, 1e-3
     for values, opacity, width in ((force, 0.3, 1.5), (model, 1.0, 2.0)):
         shown = {"magnitude": (np.linalg.norm(values, axis=1), "black")}

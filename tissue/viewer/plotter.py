@@ -6,7 +6,18 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Plotter", "add_colour_scale", "add_names", "aim", "free_keys", "on_click"]
+__all__ = [
+    "Plotter",
+    "add_colour_scale",
+    "add_names",
+    "add_slider",
+    "add_text",
+    "aim",
+    "free_keys",
+    "new_plotter",
+    "on_click",
+    "picked",
+]
 
 Plotter: TypeAlias = Any
 """A `pyvista.Plotter`: PyVista declares those of its methods that forward to a renderer without their arguments."""
@@ -18,10 +29,66 @@ ROTATE = 1
 """VTK's number of the state in which the left button turns the camera."""
 
 
+def new_plotter(size_px: tuple[int, int], *, title: str = "", off_screen: bool) -> Plotter:
+    """Return a plotter with a white background."""
+    import pyvista
+
+    plotter: Plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(size_px), title=title)
+    plotter.background_color = pyvista.Color("white")
+    return plotter
+
+
+def add_text(
+    plotter: Plotter, words: str, place: tuple[float, float], *, size: int = 9, colour: object = "black"
+) -> Any:
+    """Write a text, its lower left corner in shares of the window, and return its actor."""
+    return plotter.add_text(words, position=place, viewport=True, font_size=size, color=colour)
+
+
 def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:
     """Write names below each other at the right, each in its colour."""
     for row, (name, colour) in enumerate(colours.items()):
-        plotter.add_text(name, position=(0.87, 0.93 - 0.035 * row), viewport=True, font_size=11, color=colour)
+        add_text(plotter, name, (0.87, 0.93 - 0.035 * row), size=11, colour=colour)
+
+
+def add_slider(
+    plotter: Plotter,
+    call: Callable[[float], None],
+    span: tuple[float, float],
+    value: float,
+    *,
+    place: tuple[float, float, float],
+    fmt: str,
+) -> Any:
+    """Add a slider, its left and right end and its height in shares of the window."""
+    left, right, height = place
+    return plotter.add_slider_widget(
+        call,
+        span,
+        value=value,
+        fmt=fmt,
+        pointa=(left, height),
+        pointb=(right, height),
+        color="black",
+        title_height=0.024,
+        slider_width=0.012,
+        tube_width=0.003,
+        interaction_event="always",
+    )
+
+
+def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, NDArray[np.float64]] | None:
+    """Return the cell of an actor under a pixel, counted from the lower left, and the point there [mm], or None."""
+    from vtkmodules.vtkRenderingCore import vtkCellPicker
+
+    picker: Any = vtkCellPicker()
+    picker.SetTolerance(1e-4)
+    picker.InitializePickList()
+    picker.AddPickList(actor)
+    picker.PickFromListOn()
+    if not picker.Pick(float(x), float(y), 0.0, plotter.renderer) or picker.GetCellId() < 0:
+        return None
+    return picker.GetCellId(), np.array(picker.GetPickPosition())
 
 
 def add_colour_scale(plotter: Plotter, title: str, mapper: object, *, bottom: float, **options: object) -> None:

@@ -25,7 +25,7 @@ from tissue.simulation.bone_surface import smooth_normals
 from tissue.simulation.carved_surface import Box, CarvedSurface, changed_box
 from tissue.simulation.depth_map import facing, tool_axes
 from tissue.simulation.run_folder import SavedRun, saved_placement
-from tissue.simulation.saved_fields import frames_of
+from tissue.simulation.saved_fields import SavedFields, frames_of
 from tissue.simulation.trace import Table
 from tissue.simulation.vtk_files import image_in_scene
 
@@ -34,8 +34,24 @@ if TYPE_CHECKING:
 
     from tissue.models.bone.replay import CarvingReplay
 
-__all__ = ["BoneOverTime", "bone_of", "faces_of", "layer_faces", "read_voxels", "require_whole", "wall_face"]
+__all__ = [
+    "BoneOverTime",
+    "Plane",
+    "bone_of",
+    "cut_plane",
+    "faces_of",
+    "layer_faces",
+    "read_voxels",
+    "require_whole",
+    "saved_fields",
+    "tool_force",
+    "wall_face",
+]
 
+Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Normal and a point [mm]; what lies on the normal's side is left out."""
+INSIDE_MM = 1e-4
+"""Distance of a cut from the tool's deepest point, so that the plane goes through no face of the mesh."""
 FACE_MM = 30.0
 """Edge of a drawn piece of a face that goes on, and how far a wall goes beyond the path on it."""
 WALL_MESH_MM = 5.0
@@ -62,6 +78,27 @@ def require_whole(saved: SavedRun) -> None:
             remedy="run the scene again",
             arrays_by_file=there,
         )
+
+
+def saved_fields(saved: SavedRun) -> SavedFields | None:
+    """Return the fields of a run over time; None for a run without any."""
+    if not (saved.path / "fields.pvd").is_file():
+        return None
+    fields = SavedFields(saved.path)
+    return fields if len(fields.times_s) and fields.names else None
+
+
+def cut_plane(saved: SavedRun, fields: SavedFields) -> Plane:
+    """Return the plane through the tool's deepest point that opens the mesh towards the viewer."""
+    x, y, z = map(float, fields.frames[0].center)
+    if saved.trace is not None and len(saved.trace.rows):
+        y = float(saved.trace["tool_y_mm"][saved.trace["tool_z_mm"].argmin()])
+    return (0.0, -1.0, 0.0), (x, y + INSIDE_MM, z)
+
+
+def tool_force(trace: Table) -> NDArray[np.float64]:
+    """Return the force of the tissue on the tool [N], shape (rows, 3)."""
+    return trace.vectors("model_force" if "model_force_x_N" in trace else "force", "N")
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":

@@ -2,13 +2,16 @@
 
 import json
 import math
+import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import IO
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
@@ -17,16 +20,18 @@ from tissue.builders.registry import motion_of
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.live.page import require_web
 from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.saved_fields import SavedFields, field_names
-from tissue.system.offscreen import LONGEST_S, display_problem, draw_apart
+from tissue.simulation.saved_fields import SavedFields
+from tissue.system.child import await_ready, child_command
+from tissue.system.offscreen import LONGEST_S, REMEDY, display_problem, draw_apart, drawing_environments
 from tissue.system.outputs import require_new_file
+from tissue.system.stopping import Terminated
 from tissue.viewer.export import check_movie, write_clean, write_movie
-from tissue.viewer.saved_surfaces import require_whole
+from tissue.viewer.run_scene import Choice, times_of
+from tissue.viewer.saved_surfaces import require_whole, saved_fields
 from tissue.viewer.site_window import is_imported, show_site
-from tissue.viewer.web.view_page import serve_view
-from tissue.viewer.window import Choice, Window, times_of
+from tissue.viewer.window import Window
 
-__all__ = ["show", "view"]
+__all__ = ["serve_view", "show", "view"]
 
 LONGEST_MOVIE_S = 3600.0
 """How long a movie may take to draw [s]."""
@@ -98,7 +103,7 @@ def view(
     about = _about(saved)
     require_whole(saved)
     choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s, clean=clean)
-    series = SavedFields(saved.path) if field_names(saved.path) else None
+    series = saved_fields(saved)
     _check(saved, choice, series)
     if movie is not None and len(times_of(saved, series)) < 2:
         raise InputError(f"movie must be of a run that lasts, got {saved.path}: use --screenshot")
@@ -273,6 +278,65 @@ def show(
     if screenshot is None and movie is None:
         window.open()
     window.plotter.close()
+
+
+PAGE = "tissue.viewer.web.view_page"
+OPENS_S, CLOSES_S = 120.0, 10.0
+"""How long a page may take until it is served, and to close [s]."""
+
+
+def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) -> None:
+    """Serve the page of a run until it was closed for some seconds, or Ctrl-C.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    choice
+        What is shown at first.
+    opened
+        Called with the address, which holds a random token.
+
+    Raises
+    ------
+    InputError
+        If nothing can be drawn or served here.
+    """
+    why = "this machine has no OpenGL library"
+    for environment in drawing_environments():
+        with TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
+            child = _start(folder, choice, environment, output)
+            try:
+                address, problem = await_ready(child, longest_s=OPENS_S, closes_s=CLOSES_S)
+                if problem is None:
+                    opened(address)
+                    child.wait()
+                    return
+                why = problem or _last_line(output) or f"its process ended with exit code {child.returncode}"
+            except Terminated:
+                raise
+            except KeyboardInterrupt:
+                return
+            finally:
+                child.kill()
+                child.communicate()
+    raise InputError(f"--web must serve a page, but {why[:200]}: {REMEDY}")
+
+
+def _start(folder: Path, choice: Choice, environment: dict[str, str], output: IO[str]) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        child_command(PAGE, str(folder), json.dumps(asdict(choice))),
+        env=os.environ | environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=output,
+        text=True,
+    )
+
+
+def _last_line(output: IO[str]) -> str:
+    output.seek(0)
+    return (output.read().strip().splitlines() or [""])[-1]
 
 
 if __name__ == "__main__":

@@ -58,6 +58,9 @@ class Stage:
     def __init__(self, plotter, aim):
         self.changed = True
 
+    def take(self, do, values):
+        return False
+
     def picture(self):
         changed, self.changed = self.changed, False
         return b"picture" if changed else None

@@ -16,7 +16,7 @@ from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start, tissue_surface
 from tissue.viewer.bone import layer_look
 from tissue.viewer.moment import ToolShown
-from tissue.viewer.plotter import Plotter, aim
+from tissue.viewer.plotter import Plotter, aim, new_plotter
 from tissue.viewer.saved_surfaces import faces_of
 
 __all__ = ["DEVICE", "LiveBone", "LiveOrgan", "LiveScene", "Readings", "live_tissue"]
@@ -225,7 +225,6 @@ class LiveScene:
         margins: tuple[float, float, float, float],
         off_screen: bool = False,
     ) -> None:
-        import pyvista
 
         self.arrays = SharedArrays(folder)
         with np.load(folder / "start.npz", allow_pickle=False) as file:
@@ -233,10 +232,7 @@ class LiveScene:
         scene = self.scene = Scene.model_validate_json((folder / "scene.json").read_text("utf-8"))
         columns = json.loads((folder / "columns.json").read_text("utf-8"))
         self._places = {name: index for index, name in enumerate(columns)}
-        self.plotter: Plotter = pyvista.Plotter(
-            window_size=list(size_px), title=f"tissue: {scene.name}, live", off_screen=off_screen
-        )
-        self.plotter.background_color = pyvista.Color("white")
+        self.plotter = new_plotter(size_px, title=f"tissue: {scene.name}, live", off_screen=off_screen)
         self.tissue = live_tissue(self.plotter, start, self.arrays)
         faces = faces_of(scene)
         colours = layer_colours(tuple(faces))

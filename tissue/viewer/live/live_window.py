@@ -10,7 +10,7 @@ import numpy as np
 
 from tissue.viewer.live.live_scene import LiveScene, Readings
 from tissue.viewer.live.target import HELP, Pointer
-from tissue.viewer.plotter import add_names
+from tissue.viewer.plotter import add_names, add_text
 
 __all__ = ["NICE", "LiveWindow"]
 
@@ -45,10 +45,9 @@ class LiveWindow:
         if self.shown.tissue is not None:
             add_names(self.plotter, self.shown.tissue.colours)
         for row, line in enumerate(HELP):
-            place = (0.012, 0.1 - 0.025 * row)
-            self.plotter.add_text(line, position=place, viewport=True, font_size=9, color="black")
-        self._words = self.plotter.add_text("", position=(0.012, 0.93), viewport=True, font_size=11, color="black")
-        self._clock = self.plotter.add_text("", position=(0.012, 0.895), viewport=True, font_size=9, color="black")
+            add_text(self.plotter, line, (0.012, 0.1 - 0.025 * row))
+        self._words = add_text(self.plotter, "", (0.012, 0.93), size=11)
+        self._clock = add_text(self.plotter, "", (0.012, 0.895))
 
     def open(self) -> None:
         """Open the window and take the mouse."""

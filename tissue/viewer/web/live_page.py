@@ -92,13 +92,8 @@ class LivePage:
 
     def take(self, do: str, values: Values) -> None:
         """Move the tool, turn the view, pause, begin again or end."""
-        number = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
-        if do == "size":
-            self.stage.resize(number["wide"], number["tall"])
-        elif do == "turn":
-            self.stage.turn(number["right"], number["up"])
-        elif do == "zoom":
-            self.stage.zoom(number["by"])
+        if self.stage.take(do, values):
+            pass
         elif do == "pause":
             self._paused = bool(values["on"])
             self._hold()
@@ -110,7 +105,7 @@ class LivePage:
         elif do == "end":
             self.leave()
         elif not (self._paused or self._resetting):
-            self._move(do, values, number)
+            self._move(do, values)
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
         """Send where the tool is wanted, and show what is new."""
@@ -136,13 +131,13 @@ class LivePage:
         """Whether a reset was asked for and the run has not begun again."""
         return self._resets != self._run
 
-    def _move(self, do: str, values: Values, number: dict[str, float]) -> None:
+    def _move(self, do: str, values: Values) -> None:
         """Move the tool as `tissue.viewer.live.target.Pointer` does."""
         if do == "move":
             tall_mm = self.stage.tall_px * self.target.mm_per_pixel
-            self.target.across(tall_mm * number["right"], tall_mm * number["up"])
+            self.target.across(tall_mm * float(values["right"]), tall_mm * float(values["up"]))
         elif do == "depth":
-            self.target.along(NOTCH_MM * number["notches"])
+            self.target.along(NOTCH_MM * float(values["notches"]))
         elif do == "key" and values["name"] in KEYS:
             self.target.press(KEYS[str(values["name"])])
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue.viewer.plotter import Plotter
+from tissue.viewer.web.messages import Values
 
 __all__ = ["Stage", "taken_scale"]
 
@@ -48,6 +49,19 @@ class Stage:
     def tall_px(self) -> int:
         """Height of a picture [pixel]."""
         return int(self._plotter.window_size[1])
+
+    def take(self, do: str, values: Values) -> bool:
+        """Change size or view as a page asks for, and return whether that was it."""
+        number = {name: float(value) for name, value in values.items() if not isinstance(value, str)}
+        if do == "size":
+            self.resize(number["wide"], number["tall"])
+        elif do == "turn":
+            self.turn(number["right"], number["up"])
+        elif do == "zoom":
+            self.zoom(number["by"])
+        else:
+            return False
+        return True
 
     def resize(self, wide: float, tall: float) -> None:
         """Draw pictures of this shape, and of this size [pixel] where that is not too much."""
