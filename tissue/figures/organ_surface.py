@@ -1,6 +1,6 @@
 """An organ's tetrahedra as they are drawn: a boundary without facets, and a section with values between the nodes."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ LEVELS = 2
 """How often each triangle of the boundary is divided in four."""
 CAP_EDGE, MOST_PASSES = 0.012, 10
 """Longest edge of a section's triangles, in diagonals of the organ, and how often they are divided for that."""
+
+
+INWARD = 5e-3
+"""Share of the way to the middle of a cell by which a place on its boundary is moved, so that it lies inside."""
 
 
 def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvista.PolyData":
@@ -84,7 +88,7 @@ def section_cap(
     place_mm: NDArray[np.float64],
     normal: NDArray[np.float64],
 ) -> "pyvista.PolyData":
-    """A plane inside a drawn boundary: values as the point array `SHOWN`, the layer as ``layer``.
+    """A plane inside a drawn boundary: values as the point array `SHOWN`.
 
     Values of cells are averaged at the nodes of each layer by itself, so that an inclusion keeps its edge.
     """
@@ -99,14 +103,19 @@ def section_cap(
     if not cap.n_cells:
         return cap
     cap = cap.subdivide_adaptive(max_edge_len=CAP_EDGE * surface.length, max_n_passes=MOST_PASSES)
-    places, layers = np.asarray(cap.points, dtype=np.float64), np.asarray(mesh.cell_data["layer"])
+    places = np.asarray(cap.points, dtype=np.float64)
+    layers = np.asarray(mesh.cell_data["layer"])
     several = layers.min() < layers.max()
     layer = layers[mesh.find_closest_cell(places)] if several else np.full(len(places), layers[0])
     values = np.zeros(len(places))
     for index in np.unique(layer):
-        part, there = mesh.extract_cells(np.flatnonzero(layers == index).tolist()), layer == index
-        values[there] = _sampled(part, at_nodes(part, name), places[there])
-    cap.point_data[SHOWN], cap.point_data["layer"] = values, layer
+        there = layer == index
+        part = mesh.extract_cells(np.flatnonzero(layers == index).tolist())
+        at = at_nodes(part, name)
+        part.clear_data()
+        part.point_data[SHOWN] = at
+        values[there] = _sampled(part, places[there])
+    cap.point_data[SHOWN] = values
     return cap
 
 
@@ -117,27 +126,22 @@ def at_nodes(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32]:
     return np.asarray(values)
 
 
-def _sampled(mesh: "pyvista.DataSet", values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values between the nodes of tetrahedra; outside all of them those at the nearest place inside."""
+def _sampled(mesh: "pyvista.DataSet", places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Interpolate `SHOWN` in a mesh. Places outside take the value at the nearest place inside.
+
+    There are such places because the drawn boundary is bent outward between the nodes.
+    """
     import pyvista
 
-    body = mesh.copy(deep=False)
-    body.clear_data()
-    body.point_data[SHOWN] = values
-    found = pyvista.PolyData(places).sample(body)
-    result = np.array(found.point_data[SHOWN], dtype=np.float64)
+    found = pyvista.PolyData(places).sample(mesh)
+    values = np.array(found.point_data[SHOWN], dtype=np.float64)
     outside = np.flatnonzero(np.asarray(found.point_data["vtkValidPointMask"]) == 0)
     if len(outside):
-        nearest: object = mesh.find_closest_cell(places[outside], return_closest_point=True)
-        assert isinstance(nearest, tuple)
+        nearest: Any = mesh.find_closest_cell(places[outside], return_closest_point=True)
         cell, closest = nearest
-        nodes = mesh.cell_connectivity.reshape(-1, 4)[cell]
-        corner = np.asarray(mesh.points, dtype=np.float64)[nodes]
-        edges = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1)
-        share = (np.linalg.pinv(edges) @ (closest - corner[:, 0])[:, :, None])[:, :, 0]
-        share = np.clip(np.column_stack([1.0 - share.sum(axis=1), share]), 0.0, 1.0)
-        result[outside] = (share * values[nodes]).sum(axis=1) / share.sum(axis=1)
-    return result
+        inside = closest + INWARD * (mesh.cell_centers().points[cell] - closest)
+        values[outside] = pyvista.PolyData(inside).sample(mesh).point_data[SHOWN]
+    return values
 
 
 def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDArray[np.intp]:

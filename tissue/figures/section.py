@@ -368,9 +368,6 @@ def draw_kept_clear(
     return handles
 
 
-CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-
-
 def interpolate_in_layers(
     series: FieldSeries, values: NDArray[np.floating], place_m: Array, layer: NDArray[np.integer]
 ) -> Array:
@@ -388,6 +385,7 @@ def interpolate_in_layers(
     place_m, layer
         The places [m], shape (k, 3), and the layer of each, shape (k,).
     """
+    from scipy.ndimage import map_coordinates
     from scipy.spatial import cKDTree
 
     there = np.flatnonzero(np.isfinite(values))
@@ -395,26 +393,22 @@ def interpolate_in_layers(
     if len(there) == 0:
         return result
     corners = series.nodes_m[series.cells[there]]
-    centre, edge = corners.mean(axis=1), float(np.ptp(corners[0, :, 0]))
+    centre = corners.mean(axis=1)
+    edge = float(np.ptp(corners[0, :, 0]))
     low = centre.min(axis=0)
     lattice = np.rint((centre - low) / edge).astype(int)
-    known = np.full(lattice.max(axis=0) + 3, -1)
-    known[tuple((lattice + 1).T)] = there  # a border of cells that are not there
-    scaled = (place_m - low) / edge + 1.0
-    base = np.clip(np.floor(scaled).astype(int), 0, np.array(known.shape) - 2)
-    part = np.clip(scaled - base, 0.0, 1.0)
-    total, weights = np.zeros((2, len(place_m)))
-    for corner in CORNERS:
-        cell = known[tuple((base + corner).T)]
-        weight = np.where(corner == 1, part, 1.0 - part).prod(axis=1)
-        weight *= (cell >= 0) & (series.layer[cell] == layer)
-        total += weight * np.where(weight > 0.0, values[cell], 0.0)
-        weights += weight
-    found = weights > 1e-9
-    result[found] = total[found] / weights[found]
-    for each in np.unique(layer[~found]):
-        here = np.flatnonzero(~found & (layer == each))
-        same = np.flatnonzero(series.layer[there] == each)
+    for index in np.unique(layer):
+        here = np.flatnonzero(layer == index)
+        same = np.flatnonzero(series.layer[there] == index)
+        # Normalised convolution: the interpolated sum of values over the interpolated count of cells.
+        total, weight = np.zeros((2, *(lattice.max(axis=0) + 1)))
+        total[tuple(lattice[same].T)] = values[there[same]]
+        weight[tuple(lattice[same].T)] = 1.0
+        at = ((place_m[here] - low) / edge).T
+        totals, weights = (map_coordinates(each, at, order=1, mode="grid-constant") for each in (total, weight))
+        found = weights > 1e-9
+        result[here[found]] = totals[found] / weights[found]
         rows = same if len(same) else np.arange(len(there))
-        result[here] = values[there[rows[cKDTree(centre[rows]).query(place_m[here])[1]]]]
+        rest = here[~found]
+        result[rest] = values[there[rows[cKDTree(centre[rows]).query(place_m[rest])[1]]]]
     return result

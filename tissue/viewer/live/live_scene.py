@@ -14,6 +14,8 @@ from tissue.scene.scene import Scene
 from tissue.simulation.bone_surface import smooth_normals, with_layers
 from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start, tissue_surface
+from tissue.simulation.live.window import CLOCK
+from tissue.simulation.trace import Table
 from tissue.viewer.bone import layer_look
 from tissue.viewer.moment import ToolShown
 from tissue.viewer.plotter import Plotter, aim, new_plotter
@@ -29,65 +31,44 @@ LEAST_N = 1.0
 
 
 Array = NDArray[np.float64]
+NUMBERS = ("time_s", "removed_mm3", *CLOCK)
+"""Columns that a person reads as they are."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Readings:
-    """One row of the trace and of the clock.
+    """The newest row of the trace and of the clock.
 
     Attributes
     ----------
-    time_s
-        Simulated time [s].
     tip_mm, turn
         Tip of the tool [mm] and its orientation (x, y, z, w).
     force_N, torque_Nm
-        What the tissue does to the tool [N], [N m], shape (3,) each.
+        Load of the tissue on the tool [N], [N m], shape (3,) each.
     device_N
-        Size of the force that the device plays [N], None without one.
-    removed_mm3
-        Volume that was removed [mm³].
-    tick_us, late_us
-        How long the tick took and how late it began [µs].
-    missed
-        How many ticks were not done within 1 ms of when they were due.
-    skipped_ms
-        What the clock on the wall has skipped [ms].
+        Size of the force that the device displays [N], None without a device.
+    numbers
+        The columns of `NUMBERS` by name.
     """
 
-    time_s: float
     tip_mm: Array
     turn: Array
     force_N: Array
     torque_Nm: Array
     device_N: float | None
-    removed_mm3: float
-    tick_us: float
-    late_us: float
-    missed: float
-    skipped_ms: float
+    numbers: dict[str, float]
 
     @classmethod
-    def of(cls, row: Array, places: dict[str, int]) -> "Readings":
-        """Read a row with columns at ``places``: those of the trace, then `tissue.simulation.live.window.CLOCK`."""
-
-        def vector(name: str, unit: str) -> Array:
-            return row[[places[f"{name}_{c}_{unit}"] for c in "xyz"]]
-
-        one = lambda name: float(row[places[name]])  # noqa: E731
-        plays = "device_force_x_N" in places
+    def of(cls, table: Table) -> "Readings":
+        """Read the first row of a table with the columns of the trace and of the clock."""
+        plays = "device_force_x_N" in table
         return cls(
-            time_s=one("time_s"),
-            tip_mm=vector("tool", "mm"),
-            turn=row[[places[f"tool_q{c}"] for c in "xyzw"]],
-            force_N=vector("model_force", "N"),
-            torque_Nm=vector("model_torque", "Nm"),
-            device_N=float(np.linalg.norm(vector("device_force", "N"))) if plays else None,
-            removed_mm3=one("removed_mm3"),
-            tick_us=one("tick_us"),
-            late_us=one("late_us"),
-            missed=one("missed"),
-            skipped_ms=one("skipped_ms"),
+            tip_mm=table.vectors("tool", "mm")[0],
+            turn=np.array([table[f"tool_q{c}"][0] for c in "xyzw"]),
+            force_N=table.vectors("model_force", "N")[0],
+            torque_Nm=table.vectors("model_torque", "Nm")[0],
+            device_N=float(np.linalg.norm(table.vectors("device_force", "N")[0])) if plays else None,
+            numbers={name: float(table[name][0]) for name in NUMBERS},
         )
 
 
@@ -230,8 +211,7 @@ class LiveScene:
         with np.load(folder / "start.npz", allow_pickle=False) as file:
             start = dict(file)
         scene = self.scene = Scene.model_validate_json((folder / "scene.json").read_text("utf-8"))
-        columns = json.loads((folder / "columns.json").read_text("utf-8"))
-        self._places = {name: index for index, name in enumerate(columns)}
+        self._columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
         self.plotter = new_plotter(size_px, title=f"tissue: {scene.name}, live", off_screen=off_screen)
         self.tissue = live_tissue(self.plotter, start, self.arrays)
         faces = faces_of(scene)
@@ -267,7 +247,7 @@ class LiveScene:
         message = self.arrays.read("row")
         if message is None or message[0] == 0:
             return None
-        readings = Readings.of(message[1], self._places)
+        readings = Readings.of(Table(self._columns, message[1][None]))
         if not readings.turn.any():
             return None
         self._mark.position = tuple(target_mm)

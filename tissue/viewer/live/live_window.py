@@ -88,16 +88,22 @@ class LiveWindow:
         self.plotter.close()
 
     def _write(self, read: Readings) -> None:
-        """What is read, in words."""
+        """Write force, removed volume and lateness."""
+        numbers = read.numbers
         parts = ", ".join(f"{one:.2f}" for one in read.force_N.round(2) + 0.0)
-        words = [f"{read.time_s:.2f} s: force {np.linalg.norm(read.force_N):.2f} N ({parts})"]
+        words = [f"{numbers['time_s']:.2f} s: force {np.linalg.norm(read.force_N):.2f} N ({parts})"]
         if read.device_N is not None:
             words.append(f"at the device {read.device_N:.2f} N")
-        if read.removed_mm3 > 0.0:
-            words.append(f"removed {read.removed_mm3:.2f} mm³")
+        if numbers["removed_mm3"] > 0.0:
+            words.append(f"removed {numbers['removed_mm3']:.2f} mm³")
         self._words.input = ", ".join(words)
-        clock = f"tick {read.tick_us:.0f} µs, {read.late_us:.0f} µs late; {read.missed:.0f} deadlines of 1 ms missed"
-        self._clock.input = f"{clock}, {read.skipped_ms:.0f} ms skipped" if read.skipped_ms > 0.0 else clock
+        clock = (
+            f"tick {numbers['tick_us']:.0f} µs, {numbers['late_us']:.0f} µs late; "
+            f"{numbers['missed']:.0f} deadlines of 1 ms missed"
+        )
+        if numbers["skipped_ms"] > 0.0:
+            clock += f", {numbers['skipped_ms']:.0f} ms skipped"
+        self._clock.input = clock
 
     def _close(self, *_: object) -> None:
         self.arrays["closed"][0] = 1

@@ -62,9 +62,12 @@ class LivePage:
         self.target = Target(plotter, **self.shown.target_options)
         self._sent_mm = self.target.target_mm
         self.arrays = self.shown.arrays
-        self._attended, self._paused = False, False
+        self._attended = False
+        self._paused = False
         self._hold()
-        self._count, self._run, self._resets = 0, 0, 0
+        self._count = 0
+        self._run = 0
+        self._resets = 0
         self._last: dict[str, Any] | None = None
         self._readings: Readings | None = None
 
@@ -162,21 +165,18 @@ class LivePage:
 
     def _figures(self, loads: list[list[float]]) -> dict[str, Any] | None:
         """What the page writes and plots; None where nothing is new."""
-        state = "resetting" if self._resetting else "paused" if self._paused else "running"
+        state = "running"
+        if self._resetting:
+            state = "resetting"
+        elif self._paused:
+            state = "paused"
         figures: dict[str, Any] = {"state": state, "run": self._run}
         read = self._readings
         if read is not None:
-            figures |= {
-                "time_s": read.time_s,
-                "force_N": np.round(read.force_N, 4).tolist(),
-                "torque_Nm": round(float(np.linalg.norm(read.torque_Nm)), 6),
-                "device_N": read.device_N,
-                "removed_mm3": read.removed_mm3,
-                "tick_us": read.tick_us,
-                "late_us": read.late_us,
-                "missed": read.missed,
-                "skipped_ms": read.skipped_ms,
-            }
+            figures |= read.numbers
+            figures["force_N"] = np.round(read.force_N, 4).tolist()
+            figures["torque_Nm"] = round(float(np.linalg.norm(read.torque_Nm)), 6)
+            figures["device_N"] = read.device_N
         if not loads and figures == self._last:
             return None
         self._last = figures
