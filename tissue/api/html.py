@@ -91,7 +91,9 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
     if summary["status"] != "complete":
         problem = summary.get("problem")
         return [("status", str(summary["status"])), *([("what ended it", str(problem))] if problem else [])]
-    force, torque, tick = summary["force_N"], summary["torque_Nm"], summary["tick_us"]
+    force = summary["force_N"]
+    torque = summary["torque_Nm"]
+    tick = summary["tick_us"]
     rows = [("simulated", f"{summary['simulated_s']:g} s")]
     if summary["cuts"]:
         rows += [
@@ -111,7 +113,9 @@ def figures_of(summary: Summary) -> dict[str, float]:
     """Numbers of a run that came to its end, by names with units; none of another one."""
     if summary["status"] != "complete":
         return {}
-    force, torque, tick = summary["force_N"], summary["torque_Nm"], summary["tick_us"]
+    force = summary["force_N"]
+    torque = summary["torque_Nm"]
+    tick = summary["tick_us"]
     removed = summary["removed_mm3"] if summary["cuts"] else {}
     return {
         "simulated_s": summary["simulated_s"],

@@ -53,7 +53,8 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
         raise InputError(f"scalars must be one of {', '.join(known)}, got {scalars}: use displacement_mm")
     moved.points = moved.points + moved.point_data["displacement_mm"]
     data = moved.point_data if scalars in moved.point_data else moved.cell_data
-    values, title = np.asarray(data[scalars]), " / ".join(part for part in field_label(scalars) if part)
+    values = np.asarray(data[scalars])
+    title = " / ".join(part for part in field_label(scalars) if part)
     data[title] = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
     across = _across(press.along)
     half = _shaded(moved.clip(normal=across, origin=press.at_mm))
@@ -71,7 +72,8 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
             outline.points = outline.points + 0.1 * across  # in front of the cut
             plotter.add_mesh(outline, color="black", line_width=2)
     plotter.add_mesh(press.tool_mesh, color=TOOL, smooth_shading=True)
-    middle, size = np.asarray(moved.center), float(np.linalg.norm(np.ptp(moved.points, axis=0)))
+    middle = np.asarray(moved.center)
+    size = float(np.linalg.norm(np.ptp(moved.points, axis=0)))
     plotter.camera_position = [middle + size * (1.9 * across - 0.5 * press.along), middle, -press.along]
     plotter.add_text(f"{press.force_magnitude_N:.3g} N at {press.depth_mm[-1]:.3g} mm", font_size=11, color="black")
     return plotter.show(**options)
@@ -90,7 +92,8 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
     """
     from tissue.figures.figure import OTHER_LAYERS
 
-    grid, names = organ.mesh, list(organ.moduli_kPa)
+    grid = organ.mesh
+    names = list(organ.moduli_kPa)
     plotter = _plotter(options)
     alone = len(names) == 1
     plotter.add_mesh(_shaded(grid), color=TISSUE, opacity=1.0 if alone else 0.35, **MATTE)

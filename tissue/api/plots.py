@@ -73,9 +73,9 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
     InputError
         If there is no such column, or it has no numbers.
     """
-    asked: Sequence[str] = (
-        FORCE_AND_TORQUE if columns is None else [columns] if isinstance(columns, str) else [*columns]
-    )
+    asked: Sequence[str] = FORCE_AND_TORQUE
+    if columns is not None:
+        asked = [columns] if isinstance(columns, str) else [*columns]
     found: dict[str, list[str]] = {}
     for name in asked:
         if name not in trace or name == "layer":
@@ -140,7 +140,8 @@ def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.
     first: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
     for number, (name, trace) in enumerate(traces.items()):
         rows, place = _place(trace, over, name)
-        force, torque = trace.vectors("model_force", "N")[rows], trace.vectors("model_torque", "Nm")[rows]
+        force = trace.vectors("model_force", "N")[rows]
+        torque = trace.vectors("model_torque", "Nm")[rows]
         look = {"color": _colour(number, len(traces)), "label": name, "linewidth": 1.1}
         panels[0].plot(place, np.linalg.norm(force, axis=1), **look)
         panels[1].plot(place, np.linalg.norm(torque, axis=1), **look)

@@ -74,7 +74,8 @@ class _View:
     @classmethod
     def of(cls, run: Run, depth: DepthMap) -> "_View":
         """The whole bone, or the half behind the deepest point of a cut that is deep and narrow."""
-        volume, remaining = run.volume, run.remaining
+        volume = run.volume
+        remaining = run.remaining
         cut = np.argwhere(depth.depth_mm > 0.0)
         spacing = 1e3 * volume.spacing_m
         if not len(cut) or depth.depth_mm.max() < DEEP * spacing * float((np.ptp(cut, axis=0) + 1).min()):
@@ -115,7 +116,8 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     """
     limit = depth_limit(depth)
     view = _View.of(run, depth)
-    volume, remaining = view.volume, view.remaining
+    volume = view.volume
+    remaining = view.remaining
     if min(int(volume.fraction.max()), int(remaining.max())) < HALF:
         return "no bone is left to show"
 
@@ -157,7 +159,8 @@ def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
     """The surface without the triangles that face away from the camera."""
     import pyvista
 
-    normals, triangles = surface.point_data["Normals"], surface.regular_faces
+    normals = surface.point_data["Normals"]
+    triangles = surface.regular_faces
     facing = np.asarray(normals) @ np.array(camera.towards_eye, dtype=np.float32) > -0.2
     part = pyvista.PolyData.from_regular_faces(surface.points, triangles[facing[triangles].any(axis=1)])
     part.point_data["Normals"] = normals
@@ -226,7 +229,8 @@ def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
         return u0, u1, v0, v1
     size = np.array([u1 - u0, v1 - v0])
     edge = size / depth.depth_mm.shape
-    low, high = cut.min(axis=0) * edge, (cut.max(axis=0) + 1) * edge
+    low = cut.min(axis=0) * edge
+    high = (cut.max(axis=0) + 1) * edge
     if ((high - low) > SMALL * size).any():
         return u0, u1, v0, v1
     around = AROUND * float((high - low).max())
@@ -242,7 +246,8 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
 
     u0, u1, v0, v1 = shown_mm(depth)
     per_mm = min(6.0 / (u1 - u0), 6.4 / (v1 - v0))
-    wide, tall = per_mm * (u1 - u0), per_mm * (v1 - v0)
+    wide = per_mm * (u1 - u0)
+    tall = per_mm * (v1 - v0)
     full = tall + 1.35
     left = 0.5 * (8.0 - wide - 0.4)
     chart = figure(8.0, full)

@@ -263,7 +263,8 @@ def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
     return paint(mesh, np.asarray(colormaps[COLOURS](np.clip((found - low) / (high - low), 0.0, 1.0)))[:, :3])
 
 
-OUTSIDE, PATH_COLOURS = "0.45", "inferno_r"
+OUTSIDE = "0.45"
+PATH_COLOURS = "inferno_r"
 AROUND_PATH_MM = 40.0
 """Half of the width of bone that is shown around the path at least."""
 
@@ -357,7 +358,8 @@ def draw_ct_histogram(
     density
         Density per value and at value 0 [kg/m3]; None where it is unknown.
     """
-    low, high = max(RANGE_HU[0], float(values[0])), min(RANGE_HU[1], float(values[-1]))
+    low = max(RANGE_HU[0], float(values[0]))
+    high = min(RANGE_HU[1], float(values[-1]))
     edges = np.linspace(low, high, BINS)
     chart = figure(6.4, 3.4)
     axes = chart.add_axes((0.11, 0.16, 0.86, 0.62))

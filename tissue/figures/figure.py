@@ -171,7 +171,9 @@ def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float
 
 def field_colours(low: float, high: float) -> str:
     """Name of the colours of a field whose scale has these ends; one that begins above 0 is a stress."""
-    return SIGNED if low < 0.0 else STRESS if low > 0.0 else OTHER
+    if low < 0.0:
+        return SIGNED
+    return STRESS if low > 0.0 else OTHER
 
 
 def depth_limit(depth: "DepthMap") -> float:

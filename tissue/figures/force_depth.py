@@ -76,7 +76,8 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     rows = first_descent(outward * tips[:, axis], trace["contact_mm2"] > 0.0)
     if len(tips[rows]) < 2:
         return "the tool did not go down into the tissue"
-    coordinate_mm, passed = outward * tips[rows, axis], layers_passed(run, tips[rows])
+    coordinate_mm = outward * tips[rows, axis]
+    passed = layers_passed(run, tips[rows])
     entered = int((passed != NO_LAYER).argmax()) if (passed != NO_LAYER).any() else 0
     depth = coordinate_mm[entered] - coordinate_mm
     measures: dict[str, list[str]] = {}
@@ -87,7 +88,8 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     heights = [2.2, *([1.0] * len(measures))]
     panels = chart.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     chart.subplots_adjust(left=0.115, right=0.98, top=1.0 - 0.8 / full, bottom=0.5 / full, hspace=0.12)
-    force, model = trace.vectors("force", "N")[rows], trace.vectors("model_force", "N")[rows]
+    force = trace.vectors("force", "N")[rows]
+    model = trace.vectors("model_force", "N")[rows]
     turns = tool_axes(np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"]))
     for values, colour, style, label in (
         (lambda f: np.linalg.norm(f, axis=1), "0.1", "-", "magnitude"),
@@ -180,7 +182,8 @@ BESIDE = 0.15
 def draw_insertion(run: Run, path: Path) -> None:
     """Draw the axial force over the tip's depth and its shares over time, punctures marked."""
     trace = run.trace
-    time, depth = trace["time_s"], -trace["tool_z_mm"]
+    time = trace["time_s"]
+    depth = -trace["tool_z_mm"]
     force = trace["model_force_z_N"]
     chart = figure(8.0, 6.4)
     over_depth, over_time = chart.subplots(2, 1)
@@ -191,7 +194,8 @@ def draw_insertion(run: Run, path: Path) -> None:
     for name, label, colour in SHARES:
         over_time.plot(time, trace[name], color=colour, linewidth=1.8, label=label)
     over_time.plot(time, force, color="0.1", linewidth=1.0, label="all together")
-    last_mm, height = -np.inf, 10
+    last_mm = -np.inf
+    height = 10
     for when, what in run.events:
         row = int(np.searchsorted(time, when))
         if "punctured" in what and row < len(time):
@@ -232,7 +236,9 @@ def draw_wall(run: Run, path: Path) -> None:
 
     The ball is drawn at its deepest. In a run without a device the force is drawn over the ball's own depth.
     """
-    trace, tool, wall = run.trace, run.scene.tool, run.scene.anatomy
+    trace = run.trace
+    tool = run.scene.tool
+    wall = run.scene.anatomy
     assert isinstance(tool, Probe) and isinstance(wall, WallAnatomy), wall.kind
     radius = 0.5 * tool.diameter_mm
     tips = trace.vectors("tool", "mm")
@@ -254,7 +260,8 @@ def draw_wall(run: Run, path: Path) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 90)
     side.plot(at + radius * np.sin(angle), tips[row, 2] + radius * (1.0 - np.cos(angle)), color=BALL, linewidth=1.0)
     lowest = min(tips[:, 2].min(), 0.0 if device is None else device[:, 2].min())
-    low, high = min(1.3 * lowest, -1.0), max(tips[:, 2].max(), 2.2 * radius)
+    low = min(1.3 * lowest, -1.0)
+    high = max(tips[:, 2].max(), 2.2 * radius)
     if force[row] > 0.0:
         arrow = {"arrowstyle": "-|>", "color": FORCE, "linewidth": 2.0, "shrinkA": 0, "shrinkB": 0}
         end = tips[row, 2] + LONGEST * (high - low)

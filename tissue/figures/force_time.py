@@ -79,7 +79,8 @@ def event_lines(events: list[tuple[float, str]]) -> list[str]:
 def mark_events(panels: "Sequence[Axes]", events: list[tuple[float, str]]) -> None:
     """A line through all panels at every event, its number on top, lower where it would cover the one before."""
     low, high = panels[0].get_xlim()
-    place, lowered = -np.inf, 0
+    place = -np.inf
+    lowered = 0
     for number, (time, _) in enumerate(events[:MOST_EVENTS], 1):
         for axes in panels:
             axes.axvline(time, color="0.15", linewidth=0.9, linestyle=(0, (4, 2)), zorder=3)
@@ -233,9 +234,11 @@ SATURATED = "#F0E442"
 
 def draw_played(run: Run, path: Path) -> None:
     """Draw forces at the device [N], compressed spans, the greatest change at 1 ms, and tool and device [mm]."""
-    trace, scene = run.trace, run.scene
+    trace = run.trace
+    scene = run.scene
     sizes = _sizes(trace, scene.force_scale)
-    time, limits = trace["time_s"], device_parameters(scene.device, scene.constants)
+    time = trace["time_s"]
+    limits = device_parameters(scene.device, scene.constants)
     turns = bool(trace.vectors("device_torque", "Nm").any())
     chart = figure(8.0, 7.8 if turns else 6.6)
     panels = chart.subplots(3 + turns, 1, height_ratios=(2.4, 2.0, 1.5, 1.2)[: 3 + turns])

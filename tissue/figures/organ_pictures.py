@@ -100,7 +100,8 @@ def draw_press(
     frame, why = moment_of_press(series, trace)
     if frame is None:
         return "nothing has moved"
-    row, moved = _row(trace, frame), _displacement(frame)
+    row = _row(trace, frame)
+    moved = _displacement(frame)
     mesh = frame_mesh(series, frame)
     mesh.points = np.asarray(mesh.points) + np.float32(IN_MM[moved.rpartition("_")[2]]) * mesh.point_data[moved]
     shown: list[_Shown] = []
@@ -210,7 +211,9 @@ def _greatest(frame: Frame) -> float:
     return float(np.linalg.norm(frame.points[name], axis=1).max(initial=0.0)) if name else 0.0
 
 
-FREE, HELD, TOUCHABLE = (0.93, 0.91, 0.87), (0.902, 0.624, 0.0), (0.0, 0.447, 0.698)
+FREE = (0.93, 0.91, 0.87)
+HELD = (0.902, 0.624, 0.0)
+TOUCHABLE = (0.0, 0.447, 0.698)
 EYES = {"from above": (0.25, -0.75, 0.62), "from below": (0.25, -0.75, -0.62)}
 HELD_HEIGHTS_PX = 110, 80
 

@@ -1,16 +1,18 @@
-"""An organ's tetrahedra as they are drawn: a boundary without facets, and a section with values between the nodes."""
+"""Fields of meshes as they are drawn: a boundary without facets, and sections with values between the nodes."""
 
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
+from tissue.fem.fields import FieldSeries
 from tissue.simulation.saved_fields import field_values
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["SHOWN", "at_nodes", "drawn_surface", "inclusions", "section_cap", "with_normals"]
+__all__ = ["SHOWN", "at_nodes", "drawn_surface", "inclusions", "interpolate_in_layers", "section_cap", "with_normals"]
 
 SHOWN = "shown"
 """Point array of the values that are drawn."""
@@ -53,7 +55,8 @@ def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
     import pyvista
 
     points, normals = (np.asarray(each, dtype=np.float64) for each in (surface.points, surface.point_data["Normals"]))
-    faces, values = surface.regular_faces, np.asarray(surface.point_data[SHOWN])
+    faces = surface.regular_faces
+    values = np.asarray(surface.point_data[SHOWN])
     edges, of_face = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0,
                                return_inverse=True)  # fmt: skip
     first, second = edges.T
@@ -66,7 +69,8 @@ def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
     copies = np.bincount(same)
     bent = np.column_stack([np.bincount(same, bent[:, c]) / copies for c in range(3)])[same]
     middle = 0.5 * (points[first] + points[second]) + bent
-    (a, b, c), (ab, bc, ca) = faces.T, (len(points) + of_face.reshape(-1, 3)).T
+    (a, b, c) = faces.T
+    (ab, bc, ca) = (len(points) + of_face.reshape(-1, 3)).T
     quarters = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]).transpose(2, 0, 1).reshape(-1, 3)
     fine = pyvista.PolyData.from_regular_faces(np.vstack([points, middle]), quarters)
     fine.point_data[SHOWN] = np.concatenate([values, 0.5 * (values[first] + values[second])])
@@ -154,10 +158,57 @@ def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDA
     layer
         Layer of each cell, shape (cells,).
     """
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    low = corners.min(axis=1)
+    high = corners.max(axis=1)
     found = []
     for index in np.unique(layer):
         here = layer == index
         if (low[here].min(axis=0) > low.min(axis=0)).all() and (high[here].max(axis=0) < high.max(axis=0)).all():
             found.append(np.flatnonzero(here))
     return min(found, key=len, default=np.zeros(0, dtype=np.intp))
+
+
+def interpolate_in_layers(
+    series: FieldSeries, values: NDArray[np.floating], place_m: Array, layer: NDArray[np.integer]
+) -> Array:
+    """Values at places, trilinear between the centres of the cells of each place's layer.
+
+    Cells of another layer or without a value do not count; where none of the eight around a place is left, the nearest
+    cell of its layer does, or of any layer where it has none.
+
+    Parameters
+    ----------
+    series
+        Cubes of one edge on a lattice.
+    values
+        Value of each cell, shape (cells,), not a number where a cell is gone.
+    place_m, layer
+        The places [m], shape (k, 3), and the layer of each, shape (k,).
+    """
+    from scipy.ndimage import map_coordinates
+    from scipy.spatial import cKDTree
+
+    there = np.flatnonzero(np.isfinite(values))
+    result = np.full(len(place_m), np.nan)
+    if len(there) == 0:
+        return result
+    corners = series.nodes_m[series.cells[there]]
+    centre = corners.mean(axis=1)
+    edge = float(np.ptp(corners[0, :, 0]))
+    low = centre.min(axis=0)
+    lattice = np.rint((centre - low) / edge).astype(int)
+    for index in np.unique(layer):
+        here = np.flatnonzero(layer == index)
+        same = np.flatnonzero(series.layer[there] == index)
+        # Normalised convolution: the interpolated sum of values over the interpolated count of cells.
+        total, weight = np.zeros((2, *(lattice.max(axis=0) + 1)))
+        total[tuple(lattice[same].T)] = values[there[same]]
+        weight[tuple(lattice[same].T)] = 1.0
+        at = ((place_m[here] - low) / edge).T
+        totals, weights = (map_coordinates(each, at, order=1, mode="grid-constant") for each in (total, weight))
+        found = weights > 1e-9
+        result[here[found]] = totals[found] / weights[found]
+        rows = same if len(same) else np.arange(len(there))
+        rest = here[~found]
+        result[rest] = values[there[rows[cKDTree(centre[rows]).query(place_m[rest])[1]]]]
+    return result

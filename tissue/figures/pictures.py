@@ -40,7 +40,9 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
     def path(name: str) -> Path:
         return folder / f"{name}.{kind}"
 
-    scene, parts, fields = run.scene, run.parts, run.parts.fields
+    scene = run.scene
+    parts = run.parts
+    fields = run.parts.fields
     depth = None if parts.volume is None else depth_map(run)
     notes: dict[str, str | None] = {}
     with _background() as pool:

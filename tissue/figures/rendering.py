@@ -61,7 +61,8 @@ class Camera:
         upright /= np.linalg.norm(upright)
         axes = np.stack([np.cross(upright, towards), upright, towards])
         seen = np.asarray(points_mm) @ axes.T
-        first, last = seen.min(axis=0), seen.max(axis=0)
+        first = seen.min(axis=0)
+        last = seen.max(axis=0)
         width, height = 1.06 * (last - first)[:2]
         tall = int(np.clip(PANEL_PX * height / width, 0.45 * PANEL_PX, 1.15 * PANEL_PX)) // 2 * 2
         height = max(height, width * tall / PANEL_PX)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.figures.figure import EDGE, axis_names, draw_outline, figure, layer_colours, save, styled
+from tissue.figures.organ_surface import interpolate_in_layers
 from tissue.models.keep_clear import Distance
 from tissue.simulation.depth_map import HALF, tool_axes
 from tissue.simulation.run import Run
@@ -26,7 +26,6 @@ __all__ = [
     "Window",
     "draw_kept_clear",
     "draw_section",
-    "interpolate_in_layers",
     "kept_window",
     "loaded_frame",
     "moment_of",
@@ -109,7 +108,8 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
     """
     volume = run.volume
     across, normal, place = plane_of(run, axis=axis, outward=outward, row=row)
-    spacing, origin = 1e3 * volume.spacing_m, 1e3 * volume.origin_m
+    spacing = 1e3 * volume.spacing_m
+    origin = 1e3 * volume.origin_m
     index = int(np.clip(np.floor((place - origin[normal]) / spacing), 0, volume.shape[normal] - 1))
     left = run.remaining if run.poses is None else run.replay().at(row)
     planes = (np.take(array, index, axis=normal) for array in (volume.fraction, left, volume.layer))
@@ -138,7 +138,8 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
     """Row of the trace at the moment that a section shows, and the fields then: under load, else at the last cut."""
-    series, cutting = run.parts.fields, np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+    series = run.parts.fields
+    cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     frame = None if series is None else loaded_frame(series)
     if frame is None:
         return int(cutting[-1]) if cutting.size else len(run.trace.rows) - 1, None
@@ -200,7 +201,8 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
     """Every voxel in its layer's colour, pale as far as it was removed."""
     colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
     pale = 1.0 - REMOVED_TINT * (1.0 - colours)
-    left, start = section.left[..., None], section.start[..., None]
+    left = section.left[..., None]
+    start = section.start[..., None]
     paint = left * colours + (start - left) * pale + (1.0 - start)
     axes.imshow(
         np.clip(paint, 0.0, 1.0).swapaxes(0, 1), origin="lower", extent=section.extent_mm, interpolation="nearest"
@@ -213,7 +215,8 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
     """Outline of the tool at one moment, and the path of its tip so far."""
     from matplotlib.patheffects import withStroke
 
-    trace, row = run.trace, section.row
+    trace = run.trace
+    row = section.row
     tips = trace.vectors("tool", "mm")
     turn = tool_axes(np.column_stack([trace[f"tool_q{c}"][row : row + 1] for c in "xyzw"]))[0]
     along = turn[[section.across, section.axis]]
@@ -247,7 +250,8 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
 def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> NDArray[np.float64]:
     """Stress at the centres of the section's voxels [MPa], each in its layer."""
     u0, u1, v0, v1 = section.extent_mm
-    (columns, rows), places = section.layer.shape, np.empty((*section.layer.shape, 3))
+    (columns, rows) = section.layer.shape
+    places = np.empty((*section.layer.shape, 3))
     places[..., section.across] = (u0 + (u1 - u0) * (np.arange(columns) + 0.5) / columns)[:, None]
     places[..., section.axis] = v0 + (v1 - v0) * (np.arange(rows) + 0.5) / rows
     places[..., section.normal] = section.place_mm
@@ -309,7 +313,9 @@ def nearest_places(run: Run) -> list[Nearest]:
     """Where a run's tool came nearest to each structure that it had to keep clear of; none without any."""
     from scipy.spatial.transform import Rotation
 
-    clear, trace, found = run.parts.keep_clear, run.trace, []
+    clear = run.parts.keep_clear
+    trace = run.trace
+    found = []
     for name, distance in () if clear is None else clear.distances.items():
         row = int(np.argmin(trace[f"distance_{name}_mm"]))
         turn = Rotation.from_quat([trace[f"tool_q{c}"][row] for c in "xyzw"])
@@ -335,8 +341,10 @@ def kept_window(places: Sequence[Nearest], window: Window, tissue: NDArray[np.bo
     v0, v1 = max(v0, v0 + c - AROUND_MM), min(v1, v0 + d + AROUND_MM)
     for place in places:
         u, v = place.structure_mm[[across, axis]].tolist()
-        u0, u1 = min(u0, u - AROUND_MM), max(u1, u + AROUND_MM)
-        v0, v1 = min(v0, v - AROUND_MM), max(v1, v + AROUND_MM)
+        u0 = min(u0, u - AROUND_MM)
+        u1 = max(u1, u + AROUND_MM)
+        v0 = min(v0, v - AROUND_MM)
+        v1 = max(v1, v + AROUND_MM)
     return u0, u1, v0, v1
 
 
@@ -351,7 +359,8 @@ def draw_kept_clear(
 
     u, v = (np.linspace(window[k], window[k + 1], ACROSS) for k in (0, 2))
     points = np.full((ACROSS, ACROSS, 3), place_mm)
-    points[..., across], points[..., axis] = u[None, :], v[:, None]
+    points[..., across] = u[None, :]
+    points[..., axis] = v[:, None]
     handles: list[Artist] = []
     for number, place in enumerate(places):
         colour = STRUCTURES[number % len(STRUCTURES)]
@@ -366,49 +375,3 @@ def draw_kept_clear(
         handles.append(Line2D([], [], color=colour, linewidth=1.6, marker="o", markersize=3.5, label=label))
     axes.set(xlim=window[:2], ylim=window[2:])
     return handles
-
-
-def interpolate_in_layers(
-    series: FieldSeries, values: NDArray[np.floating], place_m: Array, layer: NDArray[np.integer]
-) -> Array:
-    """Values at places, trilinear between the centres of the cells of each place's layer.
-
-    Cells of another layer or without a value do not count; where none of the eight around a place is left, the nearest
-    cell of its layer does, or of any layer where it has none.
-
-    Parameters
-    ----------
-    series
-        Cubes of one edge on a lattice.
-    values
-        Value of each cell, shape (cells,), not a number where a cell is gone.
-    place_m, layer
-        The places [m], shape (k, 3), and the layer of each, shape (k,).
-    """
-    from scipy.ndimage import map_coordinates
-    from scipy.spatial import cKDTree
-
-    there = np.flatnonzero(np.isfinite(values))
-    result = np.full(len(place_m), np.nan)
-    if len(there) == 0:
-        return result
-    corners = series.nodes_m[series.cells[there]]
-    centre = corners.mean(axis=1)
-    edge = float(np.ptp(corners[0, :, 0]))
-    low = centre.min(axis=0)
-    lattice = np.rint((centre - low) / edge).astype(int)
-    for index in np.unique(layer):
-        here = np.flatnonzero(layer == index)
-        same = np.flatnonzero(series.layer[there] == index)
-        # Normalised convolution: the interpolated sum of values over the interpolated count of cells.
-        total, weight = np.zeros((2, *(lattice.max(axis=0) + 1)))
-        total[tuple(lattice[same].T)] = values[there[same]]
-        weight[tuple(lattice[same].T)] = 1.0
-        at = ((place_m[here] - low) / edge).T
-        totals, weights = (map_coordinates(each, at, order=1, mode="grid-constant") for each in (total, weight))
-        found = weights > 1e-9
-        result[here[found]] = totals[found] / weights[found]
-        rows = same if len(same) else np.arange(len(there))
-        rest = here[~found]
-        result[rest] = values[there[rows[cKDTree(centre[rows]).query(place_m[rest])[1]]]]
-    return result

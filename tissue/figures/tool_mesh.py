@@ -80,7 +80,8 @@ def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
     from scipy.spatial.transform import Rotation
 
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), tip_mm
+    matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    matrix[:3, 3] = tip_mm
     return matrix
 
 

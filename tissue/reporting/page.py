@@ -157,7 +157,8 @@ def band_section(saved: SavedRun, text: Callable[[str], str]) -> str:
         return ""
     rows = []
     for label, outer, inner, unit in ROWS:
-        at, value = band[outer][inner], saved.summary[outer].get(inner, 0.0)
+        at = band[outer][inner]
+        value = saved.summary[outer].get(inner, 0.0)
         cells = [f"{value:.3g}", f"{at['p50']:.3g}", *(f"{at[low]:.3g} to {at[high]:.3g}" for low, high in ENDS)]
         rows.append(f"<tr><td>{label} / {unit}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     head = "".join(f"<th>{name}</th>" for name in ("figure", "this run", "median", "50 %", "90 %"))

@@ -78,7 +78,8 @@ def stage(saved: SavedRun) -> Record:
     if fields is not None:
         groups["field"] = fields_shown(fields, cut_plane(saved, fields))
     parts = [part for shown in groups.values() for part in shown.parts]
-    around, faces = Shown(), faces_of(scene)
+    around = Shown()
+    faces = faces_of(scene)
     for name, colour in layer_colours(tuple(faces)).items():
         parts.append({**_still(faces[name]), "colour": to_hex(colour), "opacity": 0.4, "label": name})
         around.see(faces[name].points)
@@ -171,7 +172,8 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
     import pyvista
 
     placement = saved_placement(saved.path)
-    index, whole = saved.path / "carving.pvd", saved.path / "bone.vtp"
+    index = saved.path / "carving.pvd"
+    whole = saved.path / "bone.vtp"
     if saved.complete and (index.is_file() or whole.is_file()):
         entries = _entries(index) if index.is_file() else [(0.0, 0, "bone.vtp")]
         read: dict[str, Any] = {}

@@ -69,7 +69,9 @@ class LayerKeys:
         self._plotter.render()
 
 
-KEY, OUT, IN = "x", "comma", "period"
+KEY = "x"
+OUT = "comma"
+IN = "period"
 HELP = "x: clip plane    , .: push it    drag its arrow: turn it"
 STEP = 0.02
 """How far a key pushes the plane, in diagonals of the mesh."""
@@ -89,7 +91,8 @@ class ClipPlane:
     """
 
     def __init__(self, plotter: Plotter, fields: FieldsShown, *, start: Plane) -> None:
-        self._plotter, self._fields = plotter, fields
+        self._plotter = plotter
+        self._fields = fields
         self._plane = fields.clip or start
         self._widget: vtkImplicitPlaneWidget | None = None
         self._on = fields.clip is not None
@@ -173,7 +176,8 @@ class PointRead:
     def __init__(self, plotter: Plotter, fields: FieldsShown, *, size_mm: float) -> None:
         import pyvista
 
-        self._plotter, self._fields = plotter, fields
+        self._plotter = plotter
+        self._fields = fields
         self.reference_mm: NDArray[np.float64] | None = None
         self.text = ""
         self._mark = plotter.add_mesh(
@@ -242,7 +246,9 @@ class NameList:
         *,
         choose: Callable[[str | None], None],
     ) -> None:
-        self._plotter, self._names, self._choose = plotter, list(names), choose
+        self._plotter = plotter
+        self._names = list(names)
+        self._choose = choose
         self._words = [
             add_text(plotter, words, (LEFT, TOP - ROW * row), size=10)
             for row, words in enumerate([title, *(words for _, words in self._names)])
@@ -309,9 +315,13 @@ class Playback:
         slider: tuple[float, float, float],
         slowest_s: float = 4.0,
     ) -> None:
-        self._plotter, self._show, self.span_s = plotter, show, span_s
+        self._plotter = plotter
+        self._show = show
+        self.span_s = span_s
         self._rate = min((span_s[1] - span_s[0]) / slowest_s, 1.0)
-        self.time_s, self.playing, self._shown_s = begin_s, False, 0.0
+        self.time_s = begin_s
+        self.playing = False
+        self._shown_s = 0.0
         self._mark_button: Callable[[int], None] = lambda playing: None
         self._slider = add_slider(plotter, self._drag, span_s, begin_s, place=slider, fmt="%.3f s")
 
@@ -342,7 +352,8 @@ class Playback:
         """Move on by the time that has passed since the last tick, if it plays."""
         if not self.playing:
             return
-        passed, self._shown_s = now_s - self._shown_s, now_s
+        passed = now_s - self._shown_s
+        self._shown_s = now_s
         self.to(min(self.time_s + self._rate * passed, self.span_s[1]))
         if self.time_s >= self.span_s[1]:
             self.switch()

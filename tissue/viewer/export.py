@@ -68,7 +68,8 @@ def write_clean(plotter: Plotter, file: Path) -> None:
     drawn = np.asarray(plotter.screenshot(None, return_img=True, transparent_background=True, scale=FINE))
     there = np.argwhere(drawn[..., 3] > 0)
     if len(there):
-        (top, left), (low, right) = np.maximum(there.min(axis=0) - AROUND_PX, 0), there.max(axis=0) + AROUND_PX + 1
+        (top, left) = np.maximum(there.min(axis=0) - AROUND_PX, 0)
+        (low, right) = there.max(axis=0) + AROUND_PX + 1
         drawn = drawn[top:low, left:right]
     Image.fromarray(drawn).save(file, dpi=(300, 300))
 

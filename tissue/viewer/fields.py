@@ -81,8 +81,11 @@ class FieldsShown:
         clip: Plane | None = None,
         fine: bool = False,
     ) -> None:
-        self._plotter, self._fields, self._fine = plotter, fields, fine
-        self.scale, self.clip = scale, clip
+        self._plotter = plotter
+        self._fields = fields
+        self._fine = fine
+        self.scale = scale
+        self.clip = clip
         self._time_s = 0.0
         self._hidden: frozenset[str] = frozenset()
         self.name: str | None = None
@@ -131,7 +134,8 @@ class FieldsShown:
         index, closest = found
         if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
             return None
-        cell, layers = int(index), self._fields.layer_names
+        cell = int(index)
+        layers = self._fields.layer_names
         values: dict[str, NDArray[np.float64]] = {}
         for name in self._fields.names:
             if name in mesh.cell_data:
@@ -161,7 +165,8 @@ class FieldsShown:
         self._plotter.remove_actor("field", reset_camera=False, render=False)
         if self._title in self._plotter.scalar_bars:
             self._plotter.remove_scalar_bar(self._title, render=False)
-        self.actor, self._last = None, None
+        self.actor = None
+        self._last = None
 
     def _part(self, mesh: "pyvista.DataSet") -> "pyvista.DataSet":
         """What is left of a mesh without the hidden layers and in front of the clip plane, deformed."""
@@ -191,7 +196,8 @@ class FieldsShown:
         in_cells = name in part.cell_data
         smooth = self._fine and self.clip is None and set(np.unique(part.celltypes)) == {TETRAHEDRON}
         if smooth:
-            part, in_cells = drawn_surface(part, at_nodes(part, name)), False
+            part = drawn_surface(part, at_nodes(part, name))
+            in_cells = False
             part.rename_array(DRAWN, name)
         (part.cell_data if in_cells else part.point_data)[SHOWN] = np.asarray(field_values(part, name))
         low, high = self._fields.limits(name)

@@ -72,7 +72,8 @@ class MomentShown:
     @property
     def extent_mm(self) -> NDArray[np.float64]:
         """Both ends of the tool's path and of the longest arrow [mm], shape (4, 3)."""
-        tip, arrow = self._tips[self._peak], self._longest * self._force[self._peak] / max(self._greatest, 1e-9)
+        tip = self._tips[self._peak]
+        arrow = self._longest * self._force[self._peak] / max(self._greatest, 1e-9)
         return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
 
     def near_tip_mm(self, tool_mm: NDArray[np.float64], *, reach_mm: float) -> NDArray[np.float64]:
@@ -93,7 +94,8 @@ class MomentShown:
 
     def at(self, time_s: float) -> None:
         """Show the moment."""
-        trace, row = self._trace, self.row(time_s)
+        trace = self._trace
+        row = self.row(time_s)
         force = self._tool.show(self._tips[row], self._turns[row], self._force[row], greatest_N=self._greatest)
         if not self._charted:
             return
@@ -116,22 +118,26 @@ def _chart(
     import pyvista
 
     chart = pyvista.Chart2D(size=(0.98, CHART_SHARE), loc=(0.01, 0.0), x_label="time / s", y_label="force / N")
-    time, force = trace["time_s"][every], trace.vectors("force", "N")[every]
+    time = trace["time_s"][every]
+    force = trace.vectors("force", "N")[every]
     model = tool_force(trace)[every]
-    low, high = 0.0, 1e-3
+    low = 0.0
+    high = 1e-3
     for values, opacity, width in ((force, 0.3, 1.5), (model, 1.0, 2.0)):
         shown = {"magnitude": (np.linalg.norm(values, axis=1), "black")}
         shown |= {"xyz"[c]: (values[:, c], COMPONENTS[c]) for c in range(3)}
         for name, (curve, colour) in shown.items():
             label = name if values is model else ""
             chart.line(time, curve, color=pyvista.Color(colour, opacity=opacity), width=width, label=label)
-            low, high = min(low, float(curve.min())), max(high, float(curve.max()))
+            low = min(low, float(curve.min()))
+            high = max(high, float(curve.max()))
     chart.y_range = (low - 0.05 * (high - low), high + 0.05 * (high - low))
     chart.x_range = (float(time[0]), float(max(time[-1], time[0] + 1e-3)))
     cursor = chart.line([time[0], time[0]], list(chart.y_range), color=(0.4, 0.4, 0.4), width=1.5)
     chart.GetLegend().SetInline(False)  # beside the curves, for it hides what it lies upon
     for axis in (chart.x_axis, chart.y_axis):
-        axis.label_size, axis.tick_label_size = 24, 22
+        axis.label_size = 24
+        axis.tick_label_size = 22
     chart.GetLegend().SetLabelSize(22)
     plotter.add_chart(chart)
     return chart, cursor

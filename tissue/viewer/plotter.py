@@ -138,7 +138,8 @@ def free_keys(plotter: Plotter) -> None:
     style.AddObserver("CharEvent", lambda *_: style.OnChar() if interactor.GetKeyCode() in KEPT else None)
 
 
-EYE, UP = (0.25, -0.75, 0.8), (0.0, 0.35, 1.0)
+EYE = (0.25, -0.75, 0.8)
+UP = (0.0, 0.35, 1.0)
 MARGINS = (0.2, 0.86, 0.36, 0.88)
 """Left, right, lower and upper end of the area for the scene, in shares of the window."""
 
@@ -167,7 +168,8 @@ def aim(
     view = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
     seen = np.column_stack([points_mm, np.ones(len(points_mm))]) @ view.T
     seen = seen[:, :2] / seen[:, 3:]  # -1 to 1 across the window
-    first, last = seen.min(axis=0), seen.max(axis=0)
+    first = seen.min(axis=0)
+    last = seen.max(axis=0)
     share = 2.0 * np.array([right - left, high - low])
     zoom = float((share / np.maximum(last - first, 1e-9)).min())
     plotter.camera.zoom(zoom)

@@ -112,8 +112,10 @@ def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
     import pyvista
 
     path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
-    low, high = path_mm.min(axis=0), path_mm.max(axis=0)
-    middle, (wide, deep) = 0.5 * (low + high), high - low + max(FACE_MM, 2.0 * (scene.coupling.roam_mm or 0.0))
+    low = path_mm.min(axis=0)
+    high = path_mm.max(axis=0)
+    middle = 0.5 * (low + high)
+    (wide, deep) = high - low + max(FACE_MM, 2.0 * (scene.coupling.roam_mm or 0.0))
     return {
         "wall": pyvista.Plane(
             center=(*middle, 0.0),
@@ -167,7 +169,9 @@ class BoneOverTime:
     def __init__(
         self, volume: VoxelVolume, end: NDArray[np.uint8], replay: "CarvingReplay | None" = None, *, axis: int = 2
     ) -> None:
-        self._volume, self._replay, self._axis = volume, replay, axis
+        self._volume = volume
+        self._replay = replay
+        self._axis = axis
         self.layer_names = volume.layer_names
         self.layers: list[int] = np.unique(volume.layer[volume.fraction > 0]).tolist()
         box = changed_box(volume.fraction, end)
@@ -187,7 +191,8 @@ class BoneOverTime:
         """Bring the bone to the end of a tick; whether that can have changed it."""
         if self._replay is None or self.deepest_mm == 0.0 or tick == self._tick:
             return False
-        self._tick, self._left = tick, self._replay.at(tick)
+        self._tick = tick
+        self._left = self._replay.at(tick)
         return True
 
     def rest(self, shown: Collection[int]) -> "pyvista.PolyData":
@@ -197,12 +202,14 @@ class BoneOverTime:
     def cut(self, shown: Collection[int]) -> "pyvista.PolyData":
         """Surface [mm] of what is carved, at the moment and of some of the layers."""
         carved = self._of(shown)
-        left, layer = self._left[carved.part], self._volume.layer[carved.part]
+        left = self._left[carved.part]
+        layer = self._volume.layer[carved.part]
         return _smooth(carved.of(np.where(np.isin(layer, list(shown)), left, np.uint8(0))))
 
     def _of(self, shown: Collection[int]) -> CarvedSurface:
         if self._carved is None or self._shown != frozenset(shown):
-            self._shown, volume = frozenset(shown), self._volume
+            self._shown = frozenset(shown)
+            volume = self._volume
             fraction = volume.fraction
             if not self._shown >= set(self.layers):
                 fraction = np.where(np.isin(volume.layer, list(shown)), fraction, np.uint8(0))

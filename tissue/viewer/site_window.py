@@ -128,7 +128,8 @@ class SiteWindow:
 
     def _aim(self) -> None:
         """Look at the bone so that the site is seen, the head up."""
-        towards, middle = EYE, 1e3 * self._surface.vertices_m.mean(axis=0)
+        towards = EYE
+        middle = 1e3 * self._surface.vertices_m.mean(axis=0)
         if self.normal is not None:
             aside = np.cross(self.normal, [0.0, 0.0, 1.0])
             aside = aside if np.linalg.norm(aside) > 0.1 else np.array([1.0, 0.0, 0.0])

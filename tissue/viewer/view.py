@@ -160,7 +160,8 @@ def _view_site(folder: Path, screenshot: Path | None) -> str:
 def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
     """Draw a file in a process of its own; it is there whole, or as it was before."""
     longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
-    chosen, doing = json.dumps(asdict(choice)), f"drawing the {kind}"
+    chosen = json.dumps(asdict(choice))
+    doing = f"drawing the {kind}"
     report(doing, 0.0)
     with whole_file(file) as temporary, TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder:
         temporary.touch()
@@ -199,7 +200,8 @@ def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | No
 
 def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     """Refuse what the run does not have."""
-    times, fields = times_of(saved, series), [] if series is None else series.names
+    times = times_of(saved, series)
+    fields = [] if series is None else series.names
     if saved.complete and not len(times) and not (saved.path / "bone.vti").is_file():
         raise InputError(
             f"run must hold a trace, bone or frames to be shown, got none of them in {saved.path}: run the scene again"
@@ -218,7 +220,8 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     if choice.time_s is not None:
         if not len(times):
             raise InputError(f"time_s must lie in the run, got {choice.time_s:g} for a run without ticks: leave it out")
-        first, last = float(times[0]), float(times[-1])
+        first = float(times[0])
+        last = float(times[-1])
         if not first - 1e-9 <= choice.time_s <= last + 1e-9:
             nearest = last if choice.time_s > last else first
             raise InputError(
@@ -229,7 +232,8 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
 def _about(saved: SavedRun) -> str:
     """What there is to see."""
     if saved.complete:
-        force, torque = saved.summary["force_N"]["peak"], saved.summary["torque_Nm"]["peak"]
+        force = saved.summary["force_N"]["peak"]
+        torque = saved.summary["torque_Nm"]["peak"]
         seconds = saved.summary["simulated_s"]
         return f"{saved.summary['scene']}: {seconds:g} s, force up to {force:.3g} N, torque up to {torque:.3g} N·m"
     begun = {"running": "goes on", "failed": "failed"}.get(saved.status, "was interrupted")

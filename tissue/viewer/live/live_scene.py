@@ -108,9 +108,11 @@ class LiveBone:
     """
 
     def __init__(self, plotter: Plotter, bone: BoneSurface) -> None:
-        self._plotter, self._bone = plotter, bone
+        self._plotter = plotter
+        self._bone = bone
         names = bone.volume.layer_names
-        colours, self._look = layer_colours(names), layer_look(names)
+        colours = layer_colours(names)
+        self._look = layer_look(names)
         there = [names[i] for i in np.unique(bone.volume.layer[bone.volume.fraction > 0])]
         self.colours = {name: colours[name] for name in there}
         self._draw()
@@ -231,7 +233,9 @@ class LiveScene:
             "low_mm": 1e3 * start["low_m"],
             "high_mm": 1e3 * start["high_m"],
         }
-        self._updated, self._took, self._greatest = 0.0, 0.0, LEAST_N
+        self._updated = 0.0
+        self._took = 0.0
+        self._greatest = LEAST_N
 
     def update_tissue(self) -> bool:
         """Bring the tissue up to date where that is time; whether it changed."""
@@ -239,7 +243,8 @@ class LiveScene:
         if self.tissue is None or now - self._updated <= max(TISSUE_S, 2.0 * self._took):
             return False
         changed = self.tissue.update()
-        self._updated, self._took = now, perf_counter() - now
+        self._updated = now
+        self._took = perf_counter() - now
         return changed
 
     def show(self, target_mm: NDArray[np.float64]) -> Readings | None:

@@ -41,7 +41,8 @@ class LiveWindow:
 
     def __init__(self, folder: Path) -> None:
         self.shown = LiveScene(folder, size_px=SIZE, margins=MARGINS)
-        self.plotter, self.arrays = self.shown.plotter, self.shown.arrays
+        self.plotter = self.shown.plotter
+        self.arrays = self.shown.arrays
         if self.shown.tissue is not None:
             add_names(self.plotter, self.shown.tissue.colours)
         for row, line in enumerate(HELP):

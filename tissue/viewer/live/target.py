@@ -10,7 +10,8 @@ __all__ = ["HELP", "KEY_MM", "NOTCH_MM", "Pointer", "Target"]
 Array = NDArray[np.float64]
 NOTCH_MM, KEY_MM = 0.5, 0.5
 """Travel of a notch of the wheel and of a press of a key [mm]."""
-DEEPER, HIGHER = ("Next", "s"), ("Prior", "w")
+DEEPER = ("Next", "s")
+HIGHER = ("Prior", "w")
 ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0.0, -1.0)}
 """Directions right and up in the view."""
 
@@ -36,7 +37,10 @@ class Target:
     """
 
     def __init__(self, plotter: Plotter, start_mm: Array, axis: Array, *, low_mm: Array, high_mm: Array) -> None:
-        self._plotter, self._axis, self._low, self._high = plotter, axis, low_mm, high_mm
+        self._plotter = plotter
+        self._axis = axis
+        self._low = low_mm
+        self._high = high_mm
         self._start: Array = np.array(start_mm, dtype=float)
         self.target_mm = self._start.copy()
 
@@ -127,7 +131,8 @@ class Pointer(Target):
         style.AddObserver("CharEvent", lambda *_: None)
 
     def _moved(self, *_: object) -> None:
-        before, self._at = self._at, self._interactor.GetEventPosition()
+        before = self._at
+        self._at = self._interactor.GetEventPosition()
         if before is None or self._style.GetState() != 0:
             return
         pixel = self.mm_per_pixel

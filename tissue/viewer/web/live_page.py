@@ -55,7 +55,8 @@ class LivePage:
     def __init__(self, folder: Path) -> None:
         self.shown = LiveScene(folder, size_px=SIZE, margins=MARGINS, off_screen=True)
         plotter = self.shown.plotter
-        start, axis = self.shown.target_options["start_mm"], self.shown.target_options["axis"]
+        start = self.shown.target_options["start_mm"]
+        axis = self.shown.target_options["axis"]
         size = float(np.linalg.norm(np.ptp(self.shown.points_mm, axis=0)))
         points = np.vstack([self.shown.points_mm, start + ABOVE * size * axis])
         self.stage = Stage(plotter, lambda: aim(plotter, points, margins=MARGINS))
@@ -78,7 +79,8 @@ class LivePage:
 
     def hello(self) -> dict[str, Any]:
         """The scene's name, what is shown in which colour, and the state."""
-        self._last, self.stage.changed = None, True
+        self._last = None
+        self.stage.changed = True
         from matplotlib.colors import to_hex
 
         legend = {name: to_hex(colour) for name, colour in self.shown.colours.items()}
@@ -152,7 +154,8 @@ class LivePage:
         self._run = int(self.arrays["runs"][0])
         self._count = int(self.arrays["loads_count"][0])
         self.target.reset()
-        self._sent_mm, self._readings = self.target.target_mm, None
+        self._sent_mm = self.target.target_mm
+        self._readings = None
         self.stage.changed = True
 
     def _loads(self) -> list[list[float]]:

@@ -85,11 +85,15 @@ class PageServer:
     """
 
     def __init__(self, session: Session, *, token: str | None = None) -> None:
-        self._session, self._token = session, token or new_token()
-        self._port, self.address = 0, ""
+        self._session = session
+        self._token = token or new_token()
+        self._port = 0
+        self.address = ""
         self._socket: web.WebSocketResponse | None = None
         self._line: asyncio.Transport | None = None
-        self._drawing, self._left_s, self._opened = True, 0.0, False
+        self._drawing = True
+        self._left_s = 0.0
+        self._opened = False
 
     async def serve(self, opened: Callable[[str], object], *, port: int = 0) -> None:
         """Serve until the session is over; ``opened`` is called with the address."""
@@ -112,7 +116,8 @@ class PageServer:
 
     async def _run(self) -> None:
         """Frame after frame until it is over."""
-        loop, session = asyncio.get_running_loop(), self._session
+        loop = asyncio.get_running_loop()
+        session = self._session
         while not session.over:
             began = loop.time()
             socket = self._socket
@@ -143,12 +148,16 @@ class PageServer:
         # No heartbeat: on one machine the system reports a page that is gone, and a picture may take seconds to draw.
         socket = web.WebSocketResponse(timeout=CLOSES_S, max_msg_size=LARGEST)
         await socket.prepare(request)
-        before, its_line = self._socket, self._line
-        self._socket, self._line = socket, request.transport
+        before = self._socket
+        its_line = self._line
+        self._socket = socket
+        self._line = request.transport
         self._drawing = self._opened = True
         if before is not None:
             await _close(before, its_line, REPLACED, "another page shows it now")
-        session, pace, loop = self._session, Pace(), asyncio.get_running_loop()
+        session = self._session
+        pace = Pace()
+        loop = asyncio.get_running_loop()
         await socket.send_str(json.dumps({"hello": session.hello()}))
         session.attend(True)
         try:
@@ -167,7 +176,8 @@ class PageServer:
             await _close(socket, request.transport, WSCloseCode.POLICY_VIOLATION, str(error))
         finally:
             if self._socket is socket:
-                self._socket, self._left_s = None, loop.time()
+                self._socket = None
+                self._left_s = loop.time()
                 session.attend(False)
         return socket
 

@@ -40,8 +40,11 @@ class Stage:
     """
 
     def __init__(self, plotter: Plotter, aim: Callable[[], None]) -> None:
-        self._plotter, self._aim = plotter, aim
-        self._turned, self._fine, self._moved_s = False, False, 0.0
+        self._plotter = plotter
+        self._aim = aim
+        self._turned = False
+        self._fine = False
+        self._moved_s = 0.0
         self.changed = True
         plotter.show(auto_close=False, interactive=False)
 
@@ -94,7 +97,9 @@ class Stage:
         """What is shown, as JPEG; once it stays as it is, one with smooth edges, and None from then on."""
         now = perf_counter()
         if self.changed:
-            self.changed, self._fine, self._moved_s = False, False, now
+            self.changed = False
+            self._fine = False
+            self._moved_s = now
             return self._drawn()
         if self._fine or now - self._moved_s < STILL_S:
             return None

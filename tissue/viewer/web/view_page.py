@@ -118,7 +118,8 @@ class ViewPage:
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
         """Go on in time where it plays, and show the moment."""
         now = perf_counter()
-        passed, self._last_s = now - self._last_s, now
+        passed = now - self._last_s
+        self._last_s = now
         first, last = self.shown.span_s
         if self._playing:
             self.time_s = min(self.time_s + passed * min((last - first) / SLOWEST_S, 1.0), last)
