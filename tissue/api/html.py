@@ -19,7 +19,7 @@ __all__ = ["curve", "figures_of", "folded", "run_html", "run_line", "run_rows", 
 def table_html(
     rows: Iterable[Sequence[object]], *, titles: Sequence[str] = (), caption: str = "", numbers: bool = False
 ) -> str:
-    """A table of texts; ``numbers`` puts them to the right, as columns of numbers stand."""
+    """Return a table of texts. ``numbers`` aligns them to the right."""
     side = "right" if numbers else "left"
     head = f"<caption>{escape(caption)}</caption>" if caption else ""
     if titles:
@@ -29,7 +29,7 @@ def table_html(
 
 
 def curve(values: Sequence[float], *, title: str, width: int = 320, height: int = 48) -> str:
-    """A small curve from zero, without axes."""
+    """Return a small curve from zero, without axes."""
     top = max(*values, 0.0) or 1.0
     step = width / max(len(values) - 1, 1)
     points = " ".join(f"{step * i:.1f},{height - 1 - (height - 2) * value / top:.1f}" for i, value in enumerate(values))
@@ -38,12 +38,12 @@ def curve(values: Sequence[float], *, title: str, width: int = 320, height: int 
 
 
 def folded(title: str, inner: str, *, is_open: bool = False) -> str:
-    """HTML under a title that opens and closes it."""
+    """Return HTML under a title that opens and closes it."""
     return f"<details{' open' if is_open else ''}><summary>{escape(title)}</summary>{inner}</details>"
 
 
 def scrolled(inner: str) -> str:
-    """HTML that is scrolled sideways where it is wider than the page."""
+    """Return HTML that scrolls sideways where it is wider than the page."""
     return f'<div style="overflow-x: auto">{inner}</div>'
 
 
@@ -53,7 +53,7 @@ def _cells(row: Sequence[object], name: str, side: str) -> str:
 
 
 def scene_html(scene: Scene) -> str:
-    """What a scene sets itself as a table, and each section of its TOML, defaults included, folded below."""
+    """Return the values that a scene sets as a table, with its whole TOML folded below."""
     stated = scene.model_dump(mode="json", exclude_unset=True, exclude={"name", "description"})
     rows = [(key, json.dumps(value)) for key, value in _entries(stated)]  # lists, texts and numbers as in TOML
     whole = tomllib.loads(scene.to_toml())
@@ -65,7 +65,7 @@ def scene_html(scene: Scene) -> str:
 
 
 def _entries(table: dict[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Dotted keys and values of nested tables, without those that state nothing."""
+    """Return dotted keys and values of nested tables, without empty ones."""
     for key, value in table.items():
         if isinstance(value, dict):
             yield from _entries(value, f"{prefix}{key}.")
@@ -78,7 +78,7 @@ CURVE_POINTS = 300
 
 
 def run_line(summary: Summary) -> list[str]:
-    """The most important figures, in a few words each."""
+    """Return the most important figures, in a few words each."""
     name = str(summary.get("scene"))
     if summary["status"] != "complete":
         return [name, str(summary["status"])]
@@ -87,7 +87,7 @@ def run_line(summary: Summary) -> list[str]:
 
 
 def run_rows(summary: Summary) -> list[tuple[str, str]]:
-    """Figures and their values in words; of a run that did not come to its end only what ended it."""
+    """Return figures and their values in words, or the status of an incomplete run."""
     if summary["status"] != "complete":
         problem = summary.get("problem")
         return [("status", str(summary["status"])), *([("what ended it", str(problem))] if problem else [])]
@@ -110,7 +110,7 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
 
 
 def figures_of(summary: Summary) -> dict[str, float]:
-    """Numbers of a run that came to its end, by names with units; none of another one."""
+    """Return the figures of a complete run, by names with units."""
     if summary["status"] != "complete":
         return {}
     force = summary["force_N"]
@@ -133,7 +133,7 @@ def figures_of(summary: Summary) -> dict[str, float]:
 
 
 def run_html(summary: Summary, events: list[tuple[float, str]], force_N: NDArray[np.float64]) -> str:
-    """A short table and the size of the force over time, with events and notes folded below."""
+    """Return a short table and the force over time, with events and notes folded below."""
     shown = table_html(run_rows(summary), caption=f"run of {summary.get('scene')}")
     if len(force_N):
         every = max(len(force_N) // CURVE_POINTS, 1)

@@ -109,20 +109,20 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
 
 
 def _across(along: Any) -> Any:
-    """Direction at right angles to a press, as far along -y as can be."""
+    """Return a direction at right angles to a press, as close to -y as possible."""
     first = np.array([0.0, -1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = first - (first @ along) * along
     return first / np.linalg.norm(first)
 
 
 def _shaded(body: pyvista.DataSet) -> pyvista.PolyData:
-    """Surface of a body with normals that point out of it and keep its edges."""
+    """Return the surface of a body with outward normals that keep its edges."""
     surface = body.extract_surface(algorithm="dataset_surface").triangulate()
     return surface.compute_normals(auto_orient_normals=True, split_vertices=True, feature_angle=40.0)
 
 
 def _plotter(options: dict[str, Any]) -> pyvista.Plotter:
-    """A plotter on white, with what of the options is its own taken out of them."""
+    """Return a plotter on white, and remove its own options from those given."""
     import pyvista
 
     mine = {name: options.pop(name) for name in ("off_screen", "notebook", "window_size") if name in options}

@@ -66,7 +66,7 @@ def plot_columns(
 
 
 def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list[str]]:
-    """Columns by their unit, by default force and torque.
+    """Return columns by their unit, by default force and torque.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
 
 
 def new_panels(count: int) -> "NDArray[np.object_]":
-    """Panels over each other in a figure of pyplot, which a notebook shows."""
+    """Return stacked panels in a figure of pyplot, which a notebook shows."""
     from matplotlib import pyplot
 
     _, panels = pyplot.subplots(
@@ -101,7 +101,7 @@ def new_panels(count: int) -> "NDArray[np.object_]":
 
 
 def finish(panels: "NDArray[np.object_]", wanted: dict[str, list[str]], title: str) -> None:
-    """Labels, title and legends."""
+    """Add labels, title and legends."""
     for axes, (unit, names) in zip(panels, wanted.items(), strict=True):
         words = [label_of(name).split() for name in names]
         shared = [first for first, *others in zip(*words, strict=False) if set(others) <= {first}]
@@ -166,7 +166,7 @@ def overlay(traces: "Mapping[str, Table]", *, over: str = "time") -> NDArray[np.
 
 
 def _place(trace: "Table", over: str, name: str) -> tuple[slice, NDArray[np.float64]]:
-    """Rows to draw, and where they lie: time [s], or depth [mm], which only grows."""
+    """Return the rows to draw, and their time [s] or depth [mm]."""
     if over == "time":
         return slice(None), trace["time_s"]
     axis, outward = facing(trace)
@@ -179,12 +179,12 @@ def _place(trace: "Table", over: str, name: str) -> tuple[slice, NDArray[np.floa
 
 
 def _at(places: NDArray[np.float64], known: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors between known places, shape (places, 3)."""
+    """Interpolate vectors between known places, shape (places, 3)."""
     return np.column_stack([np.interp(places, known, vectors[:, c]) for c in range(3)])
 
 
 def _colour(number: int, count: int) -> object:
-    """A colour of its own for a few, one along a scale for many."""
+    """Return a colour: distinct for a few curves, along a scale for many."""
     if count <= len(COLOURS):
         return COLOURS[number]
     from matplotlib import colormaps
@@ -197,12 +197,12 @@ SWEEP_PANEL_IN = (3.2, 2.4)
 
 
 def differing(sweep: "Sweep") -> list[str]:
-    """Figures that are not the same in all finished runs."""
+    """Return the figures that differ between finished runs."""
     return [name for name in sweep.figure_names if len({each.figures.get(name) for each in sweep.finished}) > 1]
 
 
 def can_be_drawn(sweep: "Sweep") -> bool:
-    """Whether there are figures to draw over one key or two."""
+    """Return whether there are figures to draw over one key or two."""
     return len(sweep.keys) in (1, 2) and bool(differing(sweep))
 
 
@@ -252,7 +252,7 @@ def draw_figures(sweep: "Sweep", names: list[str] | None) -> NDArray[np.object_]
 
 
 def _lines(sweep: "Sweep") -> dict[str, list[tuple[float | str, dict[str, float]]]]:
-    """By value of the second key, values of the first, in order if they are numbers, with the figures of their runs."""
+    """Return by value of the second key the sorted values of the first, with the figures of their runs."""
     first, *second = sweep.keys
     found: dict[str, list[tuple[float | str, dict[str, float]]]] = {}
     for each in sweep.finished:

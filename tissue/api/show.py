@@ -23,14 +23,14 @@ BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
 
 
 def in_notebook() -> bool:
-    """Whether a Jupyter kernel runs this."""
+    """Return whether a Jupyter kernel runs this."""
     module = sys.modules.get("IPython")
     shell: Any = module.get_ipython() if module is not None else None
     return shell is not None and hasattr(shell, "kernel")
 
 
 def is_interactive() -> bool:
-    """Whether what a notebook needs to turn a picture by the mouse is installed."""
+    """Return whether the packages for interactive views in a notebook are installed."""
     for name in BACKENDS:
         try:
             with warnings.catch_warnings():
@@ -84,7 +84,7 @@ GHOSTS, HIDDEN = "vtkGhostType", 32
 
 
 def with_empty_hidden(data: Any) -> Any:
-    """Voxels with those that are less than half full hidden from filters and pictures; a mesh as it is."""
+    """Hide voxels that are less than half full from filters and pictures. A mesh is returned unchanged."""
     if "remaining" in data.cell_data:
         empty = np.asarray(data.cell_data["remaining"]) < HALF
         data.cell_data[GHOSTS] = np.where(empty, HIDDEN, 0).astype(np.uint8)
@@ -117,7 +117,7 @@ def show_folder(folder: Path, chosen: dict[str, Any], *, interactive: bool | Non
 
 
 def _turned(folder: Path, chosen: dict[str, Any]) -> Any:
-    """What a notebook shows and turns by the mouse, drawn by this process."""
+    """Return the interactive view of a notebook, drawn by this process."""
     from tissue.simulation.run_folder import SavedRun
     from tissue.viewer.run_scene import Choice
     from tissue.viewer.window import Window

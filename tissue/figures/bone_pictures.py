@@ -54,7 +54,7 @@ WIDEST_ARC = 0.4
 
 @dataclass(frozen=True)
 class _View:
-    """What is drawn of the bone and from where.
+    """Bone before and after a run, cut open where needed, and the view of it.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class _View:
 
     @classmethod
     def of(cls, run: Run, depth: DepthMap) -> "_View":
-        """The whole bone, or the half behind the deepest point of a cut that is deep and narrow."""
+        """Return the whole bone, or the half behind the deepest point of a deep and narrow cut."""
         volume = run.volume
         remaining = run.remaining
         cut = np.argwhere(depth.depth_mm > 0.0)
@@ -88,7 +88,7 @@ class _View:
         return cls(half, np.where(keep, remaining, np.uint8(0)), depth, (normal, place))
 
     def camera(self, surface: "pyvista.PolyData") -> Camera:
-        """A camera that sees the whole surface from the tool's side and from before the plane, turned aside."""
+        """Return a camera that sees the whole surface from the tool's side, turned aside, and from before the plane."""
         depth = self.depth
         out = np.eye(3)[depth.axis] * depth.outward
         v = np.eye(3)[depth.across[1] if self.plane is None else self.plane[0]]
@@ -98,7 +98,7 @@ class _View:
         return Camera.seeing(np.asarray(surface.points)[:: max(surface.n_points // MOST_POINTS, 1)], towards, v)
 
     def opened(self, surface: "pyvista.PolyData") -> NDArray[np.bool_]:
-        """Triangles that lie in the plane."""
+        """Return which triangles lie in the plane."""
         if self.plane is None:
             return np.zeros(surface.n_cells, dtype=bool)
         axis, place = self.plane
@@ -148,7 +148,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
 
 
 def _depth_paint(depth_mm: NDArray[np.float32], limit: float) -> NDArray[np.float64]:
-    """Colours of points by removed depth, bone where nothing was removed; they blend over the first few hundredths."""
+    """Return colours of points by removed depth. They blend into the colour of bone over the first few hundredths."""
     from matplotlib import colormaps
 
     share = np.clip((depth_mm / limit - 0.01) / 0.03, 0.0, 1.0)[:, None]
@@ -156,7 +156,7 @@ def _depth_paint(depth_mm: NDArray[np.float32], limit: float) -> NDArray[np.floa
 
 
 def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
-    """The surface without the triangles that face away from the camera."""
+    """Return the surface without the triangles that face away from the camera."""
     import pyvista
 
     normals = surface.point_data["Normals"]
@@ -222,7 +222,7 @@ side around it."""
 
 
 def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
-    """Ends of what the map shows along its two axes [mm]: the region, or a small cut and what is around it."""
+    """Return the extent of the map along its two axes [mm]: the region, or a small cut with its surroundings."""
     u0, u1, v0, v1 = depth.extent_mm
     cut = np.argwhere(depth.depth_mm > 0.0)
     if not len(cut):
@@ -300,7 +300,7 @@ def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
 
 
 def _hillshade(height_mm: NDArray[np.float64], spacing_mm: float) -> NDArray[np.float64]:
-    """Brightness of a face lit from the upper left, darker where it lies deep."""
+    """Compute the brightness of a face lit from the upper left, darker where it lies deep."""
     from scipy.ndimage import gaussian_filter
 
     there = np.isfinite(height_mm)

@@ -58,7 +58,7 @@ DRAWING = RLock()
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
-    """A function that draws in the style of the figures."""
+    """Make a function draw in the style of the figures."""
 
     @wraps(draw)
     def drawn(*arguments: P.args, **options: P.kwargs) -> T:
@@ -72,7 +72,7 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 
 @styled
 def figure(width_in: float, height_in: float) -> "Figure":
-    """A figure that no window knows of."""
+    """Return an empty figure that belongs to no window."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_in, height_in), dpi=DPI)
@@ -102,12 +102,12 @@ def save(chart: "Figure", path: Path) -> None:
 
 
 def is_vector(path: Path) -> bool:
-    """Whether a file holds lines and text as such."""
+    """Return whether a file holds lines and text as such."""
     return path.suffix in (".svg", ".pdf")
 
 
 def plain(panels: "Iterable[Axes]") -> None:
-    """Panels without a frame above and to the right, and with a grid along y below what is drawn."""
+    """Remove the frame above and to the right of panels, and add a grid along y."""
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="y", color="0.92", linewidth=0.6)
@@ -148,7 +148,7 @@ ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
 
 
 def axis_names(run: "Run") -> tuple[str, ...]:
-    """The world's axes with their anatomical direction where the kind of anatomy has one."""
+    """Return the names of the world's axes, with their anatomical direction where the kind of anatomy has one."""
     meanings = ANATOMICAL.get(run.scene.anatomy.kind)
     if meanings is None:
         return tuple("xyz")
@@ -161,7 +161,7 @@ def axis_names(run: "Run") -> tuple[str, ...]:
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
-    """Red, green and blue of every layer; those of bone and of teeth have the same colour in every scene."""
+    """Return red, green and blue of every layer. Known layers have the same colour in every scene."""
     from matplotlib.colors import to_rgb
 
     others = [name for name in names if name not in LAYERS]
@@ -170,14 +170,14 @@ def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float
 
 
 def field_colours(low: float, high: float) -> str:
-    """Name of the colours of a field whose scale has these ends; one that begins above 0 is a stress."""
+    """Return the name of the colour map for a field with this range. A range that begins above 0 is a stress."""
     if low < 0.0:
         return SIGNED
     return STRESS if low > 0.0 else OTHER
 
 
 def depth_limit(depth: "DepthMap") -> float:
-    """Upper end of the depth scale [mm]: the deepest column, peg holes and drilled channels left to saturate."""
+    """Return the upper end of the depth scale [mm]: the depth of the deepest column."""
     cut = depth.depth_mm[depth.depth_mm > 0.0]
     return float(max(cut.max(), 1e-3)) if cut.size else 1.0
 

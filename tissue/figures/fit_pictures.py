@@ -223,7 +223,7 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
 
 
 def _draw(axes: "Axes", times_s: Array, nominal: Array, quantiles: Array, colour: str) -> None:
-    """One channel: bands, the median dashed, the run's nominal value as a line."""
+    """Draw one channel: bands, the median dashed, and the run's nominal value as a line."""
     axes.fill_between(times_s, quantiles[0], quantiles[4], color=colour, alpha=OUTER, linewidth=0.0)
     axes.fill_between(times_s, quantiles[1], quantiles[3], color=colour, alpha=INNER, linewidth=0.0)
     axes.plot(times_s, quantiles[2], color=colour, linewidth=0.9, linestyle=(0, (3, 2)))
@@ -309,7 +309,7 @@ def _bars(axes: "Axes", rows: list[Mapping[str, Any]]) -> None:
 
 
 def _label(group: str) -> str:
-    """Names of constants without table and unit, one line each."""
+    """Return names of constants without table and unit, one line each."""
     lines = []
     for name in group.split(" + "):
         _, _, rest = name.partition(".")

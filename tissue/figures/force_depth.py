@@ -24,7 +24,7 @@ RISE_MM = 0.2
 
 
 def first_descent(coordinate_mm: NDArray[np.float64], contact: NDArray[np.bool_]) -> slice:
-    """Rows from a little before the first contact down to the deepest point before the tool rises.
+    """Return the rows from just before the first contact down to the deepest point before the tool rises.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def first_descent(coordinate_mm: NDArray[np.float64], contact: NDArray[np.bool_]
 
 
 def layers_passed(run: Run, tips_mm: NDArray[np.float64]) -> NDArray[np.str_]:
-    """Layer that lay at the tip before the run, by name, shape (tips,)."""
+    """Return the names of the layers at tip positions before the run, shape (tips,)."""
     volume = run.volume
     place = np.floor((tips_mm * 1e-3 - volume.origin_m) / volume.spacing_m).astype(int)
     inside = ((place >= 0) & (place < volume.shape)).all(axis=1)
@@ -147,7 +147,7 @@ def _shade(
     passed: NDArray[np.str_],
     force: NDArray[np.float64],
 ) -> None:
-    """A band for each layer, with its name and the mean force in it."""
+    """Shade a band for each layer, with its name and the mean force in it."""
     colours = layer_colours(run.volume.layer_names)
     for first, last, name in spells(passed, shortest=round(FLICKER_S / TICK_S)):
         if name == NO_LAYER:

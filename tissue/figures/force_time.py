@@ -38,7 +38,7 @@ begins touches and lets go a few times within a few ticks of 1 ms, and bands of 
 
 
 def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
-    """Runs of equal entries: first index, index behind the last, entry.
+    """Return runs of equal entries: first index, index behind the last, entry.
 
     One of fewer entries than `shortest` belongs to the one before it, the first to the one after it.
     """
@@ -58,7 +58,7 @@ def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, 
 
 
 def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Events without those that repeat one of the same words, whatever its numbers, within `FLICKER_S`."""
+    """Return the events without repetitions of the same words within `FLICKER_S`, whatever their numbers."""
     last: dict[str, float] = {}
     found = []
     for time, what in events:
@@ -70,14 +70,14 @@ def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
 
 
 def event_lines(events: list[tuple[float, str]]) -> list[str]:
-    """A numbered line for each event, and one for those that are too many."""
+    """Return a numbered line for each event, and one line for those beyond the limit."""
     lines = [f"{i}   {time:.3f} s: {what}" for i, (time, what) in enumerate(events[:MOST_EVENTS], 1)]
     left = len(events) - MOST_EVENTS
     return [*lines, f"and {left} more"] if left > 0 else lines
 
 
 def mark_events(panels: "Sequence[Axes]", events: list[tuple[float, str]]) -> None:
-    """A line through all panels at every event, its number on top, lower where it would cover the one before."""
+    """Draw a line through all panels at every event, with its number on top."""
     low, high = panels[0].get_xlim()
     place = -np.inf
     lowered = 0
@@ -149,7 +149,7 @@ def draw_force_torque(run: Run, path: Path) -> None:
 
 
 def _draw_components(axes: "Axes", run: Run, name: str, unit: str, scale: float, label: str) -> None:
-    """The model's components upon those commanded: teeth that vibrate make a band of the wide lines."""
+    """Draw the model's components over the commanded ones, which form a wide band where teeth vibrate."""
     time = run.trace["time_s"]
     commanded, model = (scale * run.trace.vectors(f"{of}{name}", unit) for of in ("", "model_"))
     axes.fill_between(time, np.linalg.norm(commanded, axis=1), color=MAGNITUDE, linewidth=0.0)
@@ -162,7 +162,7 @@ def _draw_components(axes: "Axes", run: Run, name: str, unit: str, scale: float,
 
 
 def _handles() -> "list[list[Artist]]":
-    """Entries of the legend in two rows, in words."""
+    """Return the entries of the legend in two rows."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -176,7 +176,7 @@ def _handles() -> "list[list[Artist]]":
 
 
 def _draw_path(axes: "Axes", run: Run) -> None:
-    """The tip along the tool's axis, behind it the layer that it is in."""
+    """Draw the tip position along the tool's axis, with the layer at the tip shaded."""
     from matplotlib.patches import Patch
 
     trace = run.trace
@@ -290,7 +290,7 @@ def draw_played(run: Run, path: Path) -> None:
 
 
 def _compressed(saturated: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First row and the one behind the last of compressed spans; those less than `FLICKER_S` apart are one."""
+    """Return first and end row of the compressed spans. Spans less than `FLICKER_S` apart are joined."""
     found: list[tuple[int, int]] = []
     for start, end, name in spells(saturated):
         if name == "True":
@@ -300,7 +300,7 @@ def _compressed(saturated: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _sizes(trace: Table, force_scale: float) -> dict[str, Array]:
-    """Sizes of the forces at the device [N], by the names of `LINES`."""
+    """Return the magnitudes of the forces at the device [N], by the names of `LINES`."""
     sizes = {"model": force_scale * np.linalg.norm(trace.vectors("model_force", "N"), axis=1)}
     there = (name for name, _, _ in LINES if f"{name}_x_N" in trace.columns)
     return sizes | {name: np.linalg.norm(trace.vectors(name, "N"), axis=1) for name in there}

@@ -54,7 +54,7 @@ class _Shown:
 
 
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
-    """The frame that is drawn, and why: the tool in contact nearest to an inclusion, else the greatest displacement."""
+    """Return the frame to draw, and the reason: nearest to an inclusion, or the largest displacement."""
     pressed = [frame for frame in series.frames if _greatest(frame) > 0.0]
     if not pressed:
         return None, ""
@@ -156,7 +156,7 @@ def _organ(
     edge: "tuple[str, pyvista.PolyData] | None",
     eye: tuple[float, ...],
 ) -> "pyvista.PolyData":
-    """The organ in a field's colours, cut open at the tool where it is asked for; an inclusion there has an outline."""
+    """Return the organ in a field's colours, cut open at the tool if asked for, with the outline of an inclusion."""
     whole = drawn_surface(mesh, at_nodes(mesh, shown.name))
     parts = [whole]
     if shown.opened:
@@ -180,7 +180,7 @@ def _organ(
 def _edge_of_inclusion(
     mesh: "pyvista.UnstructuredGrid", tip_mm: NDArray[np.float64]
 ) -> "tuple[str, pyvista.PolyData] | None":
-    """Name of an inclusion and its outline in the section at the tool; None where the section meets none."""
+    """Return name and outline of an inclusion in the section at the tool, or None."""
     names = tuple(str(name) for name in mesh.field_data["layer_names"])
     layer = np.asarray(mesh.cell_data["layer"])
     inside = inclusions(np.asarray(mesh.points)[mesh.cell_connectivity.reshape(mesh.n_cells, -1)], layer)
@@ -192,7 +192,7 @@ def _edge_of_inclusion(
 
 
 def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: Camera) -> None:
-    """The inclusion's name below its outline."""
+    """Write the inclusion's name below its outline."""
     pixels = camera.pixels(line.points)
     x, y = pixels[pixels[:, 1].argmax()]
     axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=halo(2.5))
@@ -242,7 +242,7 @@ def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
 
 
 def _surface(series: FieldSeries) -> "pyvista.PolyData":
-    """The boundary, coloured where all nodes of a triangle are held or may be touched."""
+    """Return the boundary with held and touchable triangles in colours of their own."""
     import pyvista
 
     grid = pyvista.UnstructuredGrid({CELL_TYPES[series.cells.shape[1]]: series.cells}, 1e3 * series.nodes_m)

@@ -29,7 +29,7 @@ INWARD = 5e-3
 
 
 def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvista.PolyData":
-    """The boundary through the mesh's nodes, bent between them by its normals except at sharp edges (Vlachos 2001).
+    """Return the boundary of a mesh, curved between its nodes by their normals except at sharp edges (Vlachos 2001).
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvi
 
 
 def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """Each triangle in four; a new point is the middle of its edge's curve, at right angles to both ends' normals.
+    """Divide each triangle in four. New points lie on curves at right angles to the normals at both ends of an edge.
 
     Both sides of a sharp edge have points of their own there; they are kept together by the mean of their curves.
     """
@@ -78,7 +78,7 @@ def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
 
 
 def with_normals(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """Triangles with normals at their points, which keep sharp edges."""
+    """Return triangles with normals at their points, which keep sharp edges."""
     return surface.compute_normals(
         cell_normals=False, split_vertices=True, feature_angle=SHARP_DEG, consistent_normals=False
     )
@@ -92,7 +92,7 @@ def section_cap(
     place_mm: NDArray[np.float64],
     normal: NDArray[np.float64],
 ) -> "pyvista.PolyData":
-    """A plane inside a drawn boundary: values as the point array `SHOWN`.
+    """Return the section inside a drawn boundary, with values as the point array `SHOWN`.
 
     Values of cells are averaged at the nodes of each layer by itself, so that an inclusion keeps its edge.
     """
@@ -124,7 +124,7 @@ def section_cap(
 
 
 def at_nodes(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32]:
-    """A field at the nodes: its own values there, or the mean of the cells around."""
+    """Return a field at the nodes: its own values there, or the mean of the cells around."""
     values = field_values(mesh if name in mesh.point_data else mesh.cell_data_to_point_data(), name)
     assert values is not None
     return np.asarray(values)
@@ -149,7 +149,7 @@ def _sampled(mesh: "pyvista.DataSet", places: NDArray[np.float64]) -> NDArray[np
 
 
 def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Cells of the smallest layer that lies inside the others, such as a nodule; empty where there is none.
+    """Return the cells of the smallest layer inside the others, such as a nodule. It is empty where there is none.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDA
 def interpolate_in_layers(
     series: FieldSeries, values: NDArray[np.floating], place_m: Array, layer: NDArray[np.integer]
 ) -> Array:
-    """Values at places, trilinear between the centres of the cells of each place's layer.
+    """Interpolate values trilinearly between the centres of the cells of each place's layer.
 
     Cells of another layer or without a value do not count; where none of the eight around a place is left, the nearest
     cell of its layer does, or of any layer where it has none.

@@ -73,7 +73,7 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
 
 @contextmanager
 def _background() -> Iterator[ThreadPoolExecutor]:
-    """A thread that draws in 3D; what ends the block before its end, such as Ctrl-C, does not wait for it."""
+    """Provide a thread that renders in 3D. An exception in the block, such as Ctrl-C, does not wait for it."""
     with ThreadPoolExecutor(1) as thread:
         try:
             yield thread

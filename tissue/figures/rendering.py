@@ -55,7 +55,7 @@ class Camera:
 
     @classmethod
     def seeing(cls, points_mm: ArrayLike, towards_eye: ArrayLike, up: ArrayLike) -> "Camera":
-        """A camera that sees all points from a direction, upright as near as can be."""
+        """Return an upright camera that sees all points from a direction."""
         towards = np.array(towards_eye) / np.linalg.norm(towards_eye)
         upright = np.asarray(up) - (np.asarray(up) @ towards) * towards
         upright /= np.linalg.norm(upright)
@@ -70,7 +70,7 @@ class Camera:
         return cls(tuple(towards), tuple(upright), tuple(centre), height_mm=float(height), size=(PANEL_PX, tall))
 
     def pixels(self, points_mm: ArrayLike) -> NDArray[np.float64]:
-        """Where points are in the picture, right and down from its upper left corner [pixel], shape (n, 2)."""
+        """Return the pixels of points, right and down from the upper left corner, shape (n, 2)."""
         axes = np.stack([np.cross(self.up, self.towards_eye), self.up])
         right, upward = axes @ (np.asarray(points_mm) - self.centre_mm).T * (self.size[1] / self.height_mm)
         return np.column_stack([0.5 * self.size[0] + right, 0.5 * self.size[1] - upward])
@@ -216,7 +216,7 @@ def _main(name: str, averaged: str, ambient: str) -> None:
 
 
 def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float) -> NDArray[np.uint8]:
-    """One surface, seen by the camera; squares of so many pixels are averaged."""
+    """Render one surface. Squares of `averaged` pixels along each edge are averaged."""
     import pyvista
 
     width, height = (OVERSAMPLING * pixels // averaged for pixels in camera.size)

@@ -77,7 +77,7 @@ class Section:
 
 
 def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, float]:
-    """The plane through the deepest point so far, along the tool's axis and its main direction.
+    """Return the plane through the deepest point so far, along the tool's axis and its main direction.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, 
 
 
 def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
-    """The section through the deepest point so far, along the tool's axis and the tool's main direction.
+    """Return the section through the deepest point so far, along the tool's axis and its main direction.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
 
 
 def loaded_frame(series: FieldSeries) -> Frame | None:
-    """The last frame under load: stress of at least a tenth of the run's peak; None where there is no stress at all."""
+    """Return the last frame with at least a tenth of the run's peak stress, or None without any stress."""
     peaks = [float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0)) for frame in series.frames]
     if not any(peaks):
         return None
@@ -137,7 +137,7 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
 
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
-    """Row of the trace at the moment that a section shows, and the fields then: under load, else at the last cut."""
+    """Return the row of the trace and the fields at the moment of the section: under load, else at the last cut."""
     series = run.parts.fields
     cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     frame = None if series is None else loaded_frame(series)
@@ -198,7 +198,7 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
 
 
 def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
-    """Every voxel in its layer's colour, pale as far as it was removed."""
+    """Draw every voxel in its layer's colour, pale where it was removed."""
     colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
     pale = 1.0 - REMOVED_TINT * (1.0 - colours)
     left = section.left[..., None]
@@ -212,7 +212,7 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
 
 
 def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
-    """Outline of the tool at one moment, and the path of its tip so far."""
+    """Draw the outline of the tool at one moment, and the path of its tip so far."""
     from matplotlib.patheffects import withStroke
 
     trace = run.trace
@@ -232,7 +232,7 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
 
 
 def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Section) -> "AxesImage":
-    """Von Mises stress of the tissue that is left, between the cells of each layer, on a logarithmic scale."""
+    """Draw the von Mises stress of the remaining tissue on a logarithmic scale."""
     from matplotlib.colors import LogNorm
 
     stress = _section_stress(series, frame, section)
@@ -248,7 +248,7 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
 
 
 def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> NDArray[np.float64]:
-    """Stress at the centres of the section's voxels [MPa], each in its layer."""
+    """Return the stress at the centres of the section's voxels [MPa], each in its layer."""
     u0, u1, v0, v1 = section.extent_mm
     (columns, rows) = section.layer.shape
     places = np.empty((*section.layer.shape, 3))
@@ -260,7 +260,7 @@ def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> NDAr
 
 
 def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
-    """Entries of a legend: the layers that the section shows, and the marks in it."""
+    """Return legend entries: the layers of the section, and its marks."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -290,7 +290,7 @@ STEP_M = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """Where the tool came nearest to a structure.
+    """Smallest distance between the tool and a structure.
 
     Attributes
     ----------
@@ -310,7 +310,7 @@ class Nearest:
 
 
 def nearest_places(run: Run) -> list[Nearest]:
-    """Where a run's tool came nearest to each structure that it had to keep clear of; none without any."""
+    """Return the smallest distance of the tool from each structure to keep clear of."""
     from scipy.spatial.transform import Rotation
 
     clear = run.parts.keep_clear
@@ -331,7 +331,7 @@ def nearest_places(run: Run) -> list[Nearest]:
 
 
 def kept_window(places: Sequence[Nearest], window: Window, tissue: NDArray[np.bool_], across: int, axis: int) -> Window:
-    """Sides around the tissue of a section, shape (nu, nv), and the nearest of each structure; all without any."""
+    """Return a window around the tissue of a section, shape (nu, nv), and the nearest point of each structure."""
     if not places or not tissue.any():
         return window
     u0, u1, v0, v1 = window

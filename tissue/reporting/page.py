@@ -17,7 +17,7 @@ CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
 
 
 def status_of(saved: SavedRun, text: Text) -> str:
-    """A sentence about what the run is, and one more where it did not come to its end."""
+    """Return the description of the run, and a sentence if it is incomplete."""
     scene = saved.scene
     described = f"<p>{text(scene.description)}</p>" if scene is not None and scene.description else ""
     if saved.complete:
@@ -28,7 +28,7 @@ def status_of(saved: SavedRun, text: Text) -> str:
 
 
 def figures_of(saved: SavedRun, text: Text) -> str:
-    """Cards with the figures of a run that came to its end."""
+    """Return cards with the figures of a complete run."""
     summary = saved.summary
     if not saved.complete:
         return ""
@@ -56,7 +56,7 @@ def figures_of(saved: SavedRun, text: Text) -> str:
 
 
 def events_table(summary: Summary, text: Text) -> str:
-    """Events with buttons that go to their moments."""
+    """Return the table of events, with buttons that go to their moments."""
     events = summary.get("events", [])
     if not events:
         return "<p>None.</p>"
@@ -72,7 +72,7 @@ def events_table(summary: Summary, text: Text) -> str:
 
 
 def notes_table(summary: Summary, text: Text) -> str:
-    """What the run notes of its anatomy, tool and model, with what is not modelled."""
+    """Return the table of the run's notes."""
     notes = summary.get("notes", {})
     if not notes:
         return "<p>None.</p>"
@@ -80,7 +80,7 @@ def notes_table(summary: Summary, text: Text) -> str:
 
 
 def materials_table(used: Sequence[Used], text: Text) -> str:
-    """Cited constants with value, range, source and confidence."""
+    """Return the table of cited constants with value, range, source and confidence."""
     if not used:
         return "<p>This scene rests on no cited constant: what it is made of is stated in the scene itself.</p>"
     low = sum(one.cited.confidence == "L" for one in used)
@@ -101,7 +101,7 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
 
 
 def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
-    """The scene as text, the commands that run it again, and versions."""
+    """Return the scene as text, the commands that run it again, and versions."""
     data = b64encode(scene_text.encode()).decode("ascii")
     keep = f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as scene.toml</a>'
     commands = 'pip install "tissue-sim"\ntissue run scene.toml --out again\ntissue report again'
@@ -125,7 +125,7 @@ def _torque(torque_Nm: float) -> str:
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()) -> str:
-    """A table of cells that are HTML already; its columns of numbers align to the right."""
+    """Return a table of cells that are HTML already. Columns of numbers align to the right."""
     look = [' class="number"' if column in numbers else "" for column in range(len(header))]
     head = "".join(f"<th{look[column]}>{name}</th>" for column, name in enumerate(header))
     body = "".join(

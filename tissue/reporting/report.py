@@ -251,7 +251,7 @@ def viewer_scripts() -> tuple[list[str], list[str]]:
 
 
 def empty_scene(parts: int) -> str:
-    """A scene of so many parts without points, each with colours at points and cells and normals, as base64 of a zip.
+    """Return a scene of empty parts with colours and normals, as base64 of a zip.
 
     The browser's script gives them their points: vtk.js makes objects only from such a scene.
     """

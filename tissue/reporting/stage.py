@@ -65,7 +65,7 @@ class Shown:
 
 
 def stage(saved: SavedRun) -> Record:
-    """The record that the browser shows in 3D.
+    """Return the record that the browser shows in 3D.
 
     ``parts`` are surfaces over time, ``scales`` what their colours can mean, ``bounds`` what has to be seen of each
     group of parts [mm]; of a run with ticks also ``poses`` of the tool, ``force`` and ``peak_row``.
@@ -97,14 +97,14 @@ def stage(saved: SavedRun) -> Record:
 
 
 def _ends(points_mm: NDArray[np.float64]) -> list[list[float]]:
-    """Lowest and highest corner around points."""
+    """Return the lowest and highest corner around points."""
     if not len(points_mm):
         return [[-1.0] * 3, [1.0] * 3]
     return [points_mm.min(axis=0).tolist(), points_mm.max(axis=0).tolist()]
 
 
 def _add_tool(record: Record, trace: Table, scene: Scene | None, around: Shown, *, size_mm: float) -> None:
-    """The tool and its device with their poses, the path of the tip, and the arrow of the force."""
+    """Add the tool and its device with their poses, the path of the tip, and the arrow of the force."""
     import pyvista
 
     tips = trace.vectors("tool", "mm")
@@ -146,7 +146,7 @@ MOST_MOMENTS = 40
 
 
 def bone_shown(saved: SavedRun) -> Shown | None:
-    """The bone by removed depth and by layer, at the moments that the run's folder holds; None without a bone."""
+    """Return the bone by removed depth and by layer at the saved moments, or None."""
     moments = list(_bone_moments(saved))
     if not moments:
         return None
@@ -168,7 +168,7 @@ def bone_shown(saved: SavedRun) -> Shown | None:
 
 
 def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
-    """Time [s], whether it is what no cut changes, and surface [mm]."""
+    """Return time [s], whether the part is one that no cut changes, and surface [mm]."""
     import pyvista
 
     placement = saved_placement(saved.path)
@@ -194,7 +194,7 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
 
 
 def _entries(index: Path) -> list[tuple[float, int, str]]:
-    """Times [s], parts and files that ``carving.pvd`` names; a file outside the folder is refused."""
+    """Read times [s], parts and files from ``carving.pvd``. Files outside the folder are refused."""
     with suppress(ElementTree.ParseError, KeyError, ValueError, LookupError, OSError):
         root = ElementTree.fromstring(index.read_bytes())
         found = [
@@ -226,7 +226,7 @@ def _moments_of_bone(moments: Iterable[tuple[float, Any]], deepest_mm: float) ->
 
 
 def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
-    """The deformed mesh by each of its fields, whole and cut open at a plane (normal, point [mm])."""
+    """Return the deformed mesh by each of its fields, whole and cut open at a plane (normal, point [mm])."""
     shown = Shown()
     first = fields.frames[0]
     for name in fields.names:
@@ -244,7 +244,7 @@ def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
 
 
 def _moments_of_fields(fields: SavedFields, part: "Callable[[Any], pyvista.DataSet]") -> Record:
-    """Surfaces of all frames; consecutive ones of the same triangles share a mesh."""
+    """Return the surfaces of all frames. Consecutive frames with the same triangles share a mesh."""
     surfaces = [part(frame).extract_surface(algorithm="dataset_surface").triangulate() for frame in fields.frames]
     moved = [fields.moved_mm(surface) for surface in surfaces]
     meshes: list[Record] = []
@@ -269,7 +269,7 @@ def _moments_of_fields(fields: SavedFields, part: "Callable[[Any], pyvista.DataS
 
 
 def _shares(values: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.float64]:
-    """Where values lie between the ends of their scale, logarithmic where it begins above 0."""
+    """Return the place of values on their scale, logarithmic where it begins above 0."""
     low, high = limits
     values = np.asarray(values, dtype=np.float64)
     if low > 0.0:

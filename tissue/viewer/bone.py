@@ -27,7 +27,7 @@ SHADING = {
 
 
 def layer_look(names: tuple[str, ...]) -> dict[str, object]:
-    """How a plotter shows a surface by layer."""
+    """Return the options with which a plotter shows a surface by layer."""
     from matplotlib.colors import ListedColormap
 
     colours = ListedColormap(list(layer_colours(names).values()))

@@ -214,7 +214,7 @@ class PointRead:
 
 
 def _line(name: str, value: NDArray[np.float64]) -> str:
-    """A field's value in words."""
+    """Return a field's value in words."""
     words, unit = field_label(name)
     if value.ndim == 0:
         return f"{words}: {value:.3g} {unit}".rstrip()

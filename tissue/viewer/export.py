@@ -101,7 +101,7 @@ def check_movie(path: Path) -> None:
 
 
 def _encoder_problem() -> str | None:
-    """Why no MP4 can be encoded here, or None."""
+    """Return why no MP4 can be encoded here, or None."""
     if find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None:
         return "imageio and imageio-ffmpeg are not installed"
     import imageio_ffmpeg
@@ -115,7 +115,7 @@ def _encoder_problem() -> str | None:
 
 
 def movie_times_s(first_s: float, last_s: float) -> NDArray[np.float64]:
-    """Moments of a movie's pictures [s]; it lasts as long as the run where that is between 4 and 12 s."""
+    """Return the times of a movie's frames [s]. It lasts as long as the run, but at least 4 and at most 12 s."""
     lasts = float(np.clip(last_s - first_s, SHORTEST_S, LONGEST_S))
     return np.linspace(first_s, last_s, round(lasts * FRAMES_PER_S) + 1)
 

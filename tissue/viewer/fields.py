@@ -29,7 +29,7 @@ REFERENCE, SHOWN = "reference_mm", "shown"
 
 @dataclass(frozen=True)
 class PointValues:
-    """What the fields are at a point of the material.
+    """Values of the fields at a point of the material.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class FieldsShown:
         self._draw()
 
     def read(self, reference_mm: NDArray[np.float64]) -> PointValues | None:
-        """Values at a point of the material, by where it lay before loading [mm]; None where no cell is left."""
+        """Return the values at a point of the material, given before loading [mm], or None where no cell is left."""
         mesh, _ = self._fields.at(self._time_s)
         if not mesh.n_cells:
             return None
@@ -169,7 +169,7 @@ class FieldsShown:
         self._last = None
 
     def _part(self, mesh: "pyvista.DataSet") -> "pyvista.DataSet":
-        """What is left of a mesh without the hidden layers and in front of the clip plane, deformed."""
+        """Return the deformed mesh without hidden layers, cut at the clip plane."""
         import pyvista
 
         names = self._fields.layer_names
@@ -224,7 +224,7 @@ class FieldsShown:
 
 
 def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """A point array at a place in one of a mesh's cells, by the cell's own shape functions."""
+    """Interpolate a point array in one cell of a mesh by the cell's own shape functions."""
     from vtkmodules.vtkCommonCore import reference
 
     one = mesh.GetCell(cell)

@@ -25,7 +25,7 @@ LONGEST = 0.3
 
 
 class MomentShown:
-    """What the trace holds of one moment.
+    """Tool, force and chart cursor of one moment of a trace.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class MomentShown:
         return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
 
     def near_tip_mm(self, tool_mm: NDArray[np.float64], *, reach_mm: float) -> NDArray[np.float64]:
-        """Points of the tool [mm] within a reach of its tip, where the force was greatest, from those in its frame."""
+        """Return the points of the tool near its tip at the largest force [mm], from points in its own frame."""
         near = tool_mm[np.linalg.norm(tool_mm, axis=1) <= reach_mm]
         matrix = pose(self._tips[self._peak], self._turns[self._peak])
         return near @ matrix[:3, :3].T + matrix[:3, 3]
@@ -88,7 +88,7 @@ class MomentShown:
         return float(self._trace["time_s"][self._peak])
 
     def row(self, time_s: float) -> int:
-        """Row of the trace at a moment."""
+        """Return the row of the trace at a moment."""
         times = self._trace["time_s"]
         return int(np.clip(np.searchsorted(times, time_s - 1e-9), 0, len(times) - 1))
 
@@ -111,7 +111,7 @@ class MomentShown:
 def _chart(
     plotter: Plotter, trace: Table, every: slice
 ) -> "tuple[pyvista.Chart2D, pyvista.plotting.charts.LinePlot2D]":
-    """The force over time along the lower edge, with a cursor.
+    """Add the force over time along the lower edge, with a cursor.
 
     What is commanded is pale and the model's force lies upon it: teeth that vibrate would make a band that hides it.
     """

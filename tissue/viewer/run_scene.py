@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Choice", "RunScene", "times_of"]
 
 TISSUE = ("bone", "bone beyond the cut", "field")
-"""Names of what was simulated among a plotter's actors."""
+"""Names of the simulated tissue among"""
 MOST_POINTS = 20_000
 """Points of a surface from which its extent is found."""
 NEAR_TIP = 0.5
@@ -32,7 +32,7 @@ NEAR_TIP = 0.5
 
 @dataclass(frozen=True)
 class Choice:
-    """What is shown at first.
+    """First view of a run.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class RunScene:
         return np.vstack([np.zeros((0, 3)), *self._points])
 
     def extent_mm(self, *, near_tip: bool = False) -> NDArray[np.float64]:
-        """Points that have to be seen [mm], shape (n, 3), with those of the tool near its tip if asked for."""
+        """Return the points to keep in view [mm], shape (n, 3), if asked for with those of the tool near its tip."""
         points = [self.tissue_mm]
         if self.moment is not None:
             points.append(self.moment.extent_mm)

@@ -102,13 +102,13 @@ def tool_force(trace: Table) -> NDArray[np.float64]:
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
-    """Pieces of the faces that a tool goes through or presses [mm], by name; none of voxels or a mesh."""
+    """Return the faces that a tool penetrates or presses [mm], by name. Voxels and meshes have none."""
     make = None if scene is None else ANATOMIES[scene.anatomy.kind].faces
     return {} if scene is None or make is None else loaded(make)(scene)
 
 
 def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """A wall under all of the path that the tool can go."""
+    """Return a wall under the whole path of the tool."""
     import pyvista
 
     path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
@@ -129,7 +129,7 @@ def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
 
 
 def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Pieces of the faces that a needle goes through, by layer."""
+    """Return the faces that a needle penetrates, by layer."""
     import pyvista
 
     assert isinstance(scene.anatomy, LayersAnatomy)
@@ -196,11 +196,11 @@ class BoneOverTime:
         return True
 
     def rest(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Surface [mm] of what no cut changes, of some of the layers."""
+        """Return the surface [mm] that no cut changes, of some of the layers."""
         return _smooth(self._of(shown).rest())
 
     def cut(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Surface [mm] of what is carved, at the moment and of some of the layers."""
+        """Return the surface [mm] of the carved part at the moment, of some of the layers."""
         carved = self._of(shown)
         left = self._left[carved.part]
         layer = self._volume.layer[carved.part]
@@ -218,7 +218,7 @@ class BoneOverTime:
 
 
 def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
-    """The bone of a run over time; of an incomplete run one in coarse voxels; None without."""
+    """Return the bone of a run over time, in coarse voxels for an incomplete run, or None."""
     if saved.complete:
         file = saved.path / "bone.vti"
         if not file.is_file():
@@ -249,7 +249,7 @@ def _over_time(
     poses: NDArray[np.float64] | None = None,
     compute: str = "cpu",
 ) -> BoneOverTime:
-    """The bone along poses, or else along those of the trace, which is right within 20 µm."""
+    """Return the bone carved along poses, by default those of the trace, which are right within 20 µm."""
     from tissue.builders.cutting import cutter_of
 
     uncut = end is not None and np.array_equal(end, volume.fraction)
@@ -276,7 +276,7 @@ def _over_time(
 
 
 def _coarse(scene: Scene) -> VoxelVolume | None:
-    """The bone that a scene starts from, in coarse voxels; None of one that comes from a file, or of none."""
+    """Return the bone that a scene starts from in coarse voxels, or None if it comes from a file."""
     make = ANATOMIES[scene.anatomy.kind].voxels
     if make is None or getattr(scene.anatomy, "file", None) is not None:
         return None
@@ -289,7 +289,7 @@ def _coarse(scene: Scene) -> VoxelVolume | None:
 
 
 def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, NDArray[np.uint8]]:
-    """Voxels of a run's ``bone.vti`` in the scene's frame, before the first cut, and what is left in them at the end.
+    """Return the voxels of ``bone.vti`` in the scene's frame before the first cut, and the remaining bone at the end.
 
     Raises
     ------

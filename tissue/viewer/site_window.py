@@ -31,7 +31,7 @@ HELP = "click: put the site there    Return: save it into scene.toml    q: close
 
 
 def is_imported(folder: Path) -> bool:
-    """Whether a folder holds an imported bone and no run."""
+    """Return whether a folder holds an imported bone and no run."""
     return (
         all((folder / name).is_file() for name in ("scene.toml", "bone.ply")) and not (folder / "summary.json").exists()
     )

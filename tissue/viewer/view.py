@@ -230,7 +230,7 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
 
 
 def _about(saved: SavedRun) -> str:
-    """What there is to see."""
+    """Return a sentence about the run: its largest loads, or where it was stopped."""
     if saved.complete:
         force = saved.summary["force_N"]["peak"]
         torque = saved.summary["torque_Nm"]["peak"]

@@ -115,7 +115,7 @@ class Window:
             self.playback = Playback(self.plotter, shown.at, span_s=shown.span_s, begin_s=shown.start_s, slider=slider)
 
     def _add_controls(self) -> None:
-        """What only a window has: list of fields, point that is read, clip plane, scale of the displacement."""
+        """Add the controls of a window: list of fields, point values, clip plane, scale of the displacement."""
         fields = self.fields
         series = self._shown.series
         plotter = self.plotter
@@ -147,6 +147,6 @@ class Window:
 
 
 def _round_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20 and so on."""
+    """Return the next of 1, 2, 5, 10, 20 and so on."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9)))

@@ -80,7 +80,7 @@ ORGAN = "#CC8E7D"
 
 
 def live_tissue(plotter: Plotter, start: Start, arrays: SharedArrays) -> "LiveBone | LiveOrgan | None":
-    """What is drawn of a tissue that `tissue.simulation.live` shares; None for one that its scene describes."""
+    """Return the drawn tissue that `tissue.simulation.live` shares, or None if only the scene describes it."""
     match tissue_surface(start, arrays):
         case BoneSurface() as bone:
             return LiveBone(plotter, bone)
@@ -262,7 +262,7 @@ class LiveScene:
         return readings
 
     def _add_tool(self) -> None:
-        """The tool, the device's mark and the spring between them."""
+        """Add the tool, the device's mark and the spring between them."""
         import pyvista
 
         size_mm = float(np.linalg.norm(np.ptp(self.points_mm, axis=0)))

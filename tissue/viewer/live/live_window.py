@@ -60,7 +60,7 @@ class LiveWindow:
 
     @property
     def over(self) -> bool:
-        """Whether the ticks have ended or a person has closed the window."""
+        """State of the end: the ticks have ended, or a person has closed the window."""
         return bool(self.arrays["ended"][0] or self.arrays["closed"][0])
 
     def frame(self) -> None:
@@ -81,7 +81,7 @@ class LiveWindow:
         self.arrays["frames"][0] += 1
 
     def run(self) -> None:
-        """Frame after frame until it is over."""
+        """Run frame after frame until it is over."""
         while not self.over:
             began = perf_counter()
             self.frame()

@@ -74,11 +74,11 @@ class LivePage:
 
     @property
     def over(self) -> bool:
-        """Whether the ticks have ended or a person ends them."""
+        """State of the end, which the ticks set."""
         return bool(self.arrays["ended"][0])
 
     def hello(self) -> dict[str, Any]:
-        """The scene's name, what is shown in which colour, and the state."""
+        """Return the scene's name and the legend."""
         self._last = None
         self.stage.changed = True
         from matplotlib.colors import to_hex
@@ -133,7 +133,7 @@ class LivePage:
 
     @property
     def _resetting(self) -> bool:
-        """Whether a reset was asked for and the run has not begun again."""
+        """State of a reset that was asked for and has not happened yet."""
         return self._resets != self._run
 
     def _move(self, do: str, values: Values) -> None:
@@ -159,7 +159,7 @@ class LivePage:
         self.stage.changed = True
 
     def _loads(self) -> list[list[float]]:
-        """Rows of time [s] and force [N] that have come since the last frame."""
+        """Return the rows of time [s] and force [N] since the last frame."""
         count = int(self.arrays["loads_count"][0])
         first = max(self._count, count - LOADS // 2)
         rows = self.arrays["loads"][np.arange(first, count) % LOADS]
@@ -167,7 +167,7 @@ class LivePage:
         return np.round(rows, 4).tolist()
 
     def _figures(self, loads: list[list[float]]) -> dict[str, Any] | None:
-        """What the page writes and plots; None where nothing is new."""
+        """Return the data that the page writes and plots, or None if nothing is new."""
         state = "running"
         if self._resetting:
             state = "resetting"

@@ -34,7 +34,7 @@ class MessageError(ValueError):
 
 
 def parse(text: str) -> tuple[str, Values]:
-    """What is asked for, and its entries.
+    """Read a message: its command and the entries.
 
     Raises
     ------

@@ -37,7 +37,7 @@ POLICY = (
 
 
 class Session(Protocol):
-    """What a page shows and moves."""
+    """Content of a page, and its response to messages."""
 
     kind: str
     """Which page it is: ``live`` or ``view``."""
@@ -48,19 +48,19 @@ class Session(Protocol):
         ...
 
     def hello(self) -> dict[str, Any]:
-        """What a page that has just opened needs."""
+        """Return the data that a page needs when it opens."""
         ...
 
     def take(self, do: str, values: Values) -> None:
-        """Do what a page asks for."""
+        """Apply a message of the page."""
         ...
 
     def attend(self, attended: bool) -> None:
-        """A page is there, or has gone."""
+        """Take note that a page was opened or closed."""
         ...
 
     def leave(self) -> None:
-        """No page came back: end it."""
+        """End because no page came back."""
         ...
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
@@ -115,7 +115,7 @@ class PageServer:
             await runner.cleanup()
 
     async def _run(self) -> None:
-        """Frame after frame until it is over."""
+        """Run frame after frame until it is over."""
         loop = asyncio.get_running_loop()
         session = self._session
         while not session.over:
@@ -198,7 +198,7 @@ def _cut(line: asyncio.Transport | None) -> None:
 
 
 def page_text(kind: str, nonce: str) -> str:
-    """A page as one text, so that it loads nothing more and its address alone holds the token."""
+    """Return a page as one text, so that it loads nothing more and its address alone holds the token."""
     text = (PAGE / f"{kind}.html").read_text("utf-8")
     script = "\n".join((PAGE / name).read_text("utf-8") for name in ("common.js", "plot.js", f"{kind}.js"))
     style = (PAGE / "page.css").read_text("utf-8")
@@ -220,12 +220,12 @@ HEADERS = {
 
 
 def new_token() -> str:
-    """A random token of 192 bits that can stand in an address."""
+    """Return a random token of 192 bits for an address."""
     return token_urlsafe(TOKEN_BYTES)
 
 
 def refusal(*, host: str, origin: str | None, given: str, port: int, token: str, socket: bool) -> str | None:
-    """Why a request is refused, or None.
+    """Return why a request is refused, or None.
 
     A page of another site that asks by a name which it lets point here (DNS rebinding) is known by its Host, one that
     opens the socket by its Origin, which browsers always send then.
@@ -252,7 +252,7 @@ def refusal(*, host: str, origin: str | None, given: str, port: int, token: str,
 
 
 def gate(token: str, port: Callable[[], int]) -> "Middleware":
-    """Middleware that answers 403 to what `refusal` refuses; ``port`` is known once it is served."""
+    """Return middleware that answers 403 to refused requests. The port is known once the page is served."""
 
     @web.middleware
     async def judge(request: web.Request, handler: "Handler") -> web.StreamResponse:

@@ -94,7 +94,7 @@ class Stage:
         self._viewed()
 
     def picture(self) -> bytes | None:
-        """What is shown, as JPEG; once it stays as it is, one with smooth edges, and None from then on."""
+        """Return the view as JPEG: one with smooth edges once it stays the same, and None from then on."""
         now = perf_counter()
         if self.changed:
             self.changed = False

@@ -74,7 +74,7 @@ class ViewPage:
         self._changed()
 
     def hello(self) -> dict[str, Any]:
-        """What there is: names, colours, choices, and the force over time."""
+        """Return names, colours, choices, and the force over time."""
         self.stage.changed = self._dirty = True
         return {
             "scene": str(self._saved.summary.get("scene", "run")),
@@ -164,7 +164,7 @@ class ViewPage:
         self.shown.hide(hidden)
 
     def _rows(self) -> list[list[float]]:
-        """Time [s], force [N] and its size, of rows that a page can draw."""
+        """Return time [s], force [N] and its magnitude, of as many rows as a page can draw."""
         trace = self._saved.trace
         if trace is None or not len(trace.rows):
             return []
@@ -174,7 +174,7 @@ class ViewPage:
         return np.round(rows, 4).tolist()
 
     def _figures(self) -> dict[str, Any]:
-        """What the page writes of the moment."""
+        """Return the data of the moment that the page writes."""
         figures: dict[str, Any] = {"time_s": self.time_s, "playing": self._playing, "chosen": self.chosen}
         figures["scale"] = self._scale
         trace = self._saved.trace
