@@ -76,7 +76,7 @@ def spin_arc_mm(tool: Tool) -> NDArray[np.float64]:
 
 
 def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
-    """Return the transform from a tool's own frame to the world [mm], shape (4, 4), from tip and quaternion (x, y, z, w)."""
+    """Return the transform from a tool frame to the world [mm], shape (4, 4), from tip and quaternion (x, y, z, w)."""
     from scipy.spatial.transform import Rotation
 
     matrix = np.eye(4)
