@@ -25,7 +25,7 @@ CAP_EDGE, MOST_PASSES = 0.012, 10
 
 
 INWARD = 5e-3
-"""Fraction of the distance to the middle of a cell by which a place on its boundary is moved, so that it lies inside."""
+"""Fraction of the distance to the middle of a cell by which a place on its boundary is moved to lie inside."""
 
 
 def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvista.PolyData":

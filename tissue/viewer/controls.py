@@ -69,7 +69,7 @@ class LayerKeys:
         self._plotter.render()
 
 
-KEY = "x"
+CLIP_KEY = "x"
 OUT = "comma"
 IN = "period"
 HELP = "x: clip plane    , .: push it    drag its arrow: turn it"
@@ -96,7 +96,7 @@ class ClipPlane:
         self._plane = fields.clip or start
         self._widget: vtkImplicitPlaneWidget | None = None
         self._on = fields.clip is not None
-        plotter.add_key_event(KEY, self.switch)
+        plotter.add_key_event(CLIP_KEY, self.switch)
         plotter.add_key_event(OUT, lambda: self.push(STEP))
         plotter.add_key_event(IN, lambda: self.push(-STEP))
         fields.drawn.append(self._follow)
