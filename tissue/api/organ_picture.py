@@ -45,7 +45,7 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     """
     from matplotlib import colormaps
 
-    from tissue.simulation.saved_fields import field_label
+    from tissue.figures.figure import field_words
 
     moved = press.mesh.copy()
     known = [*moved.point_data, *moved.cell_data]
@@ -54,7 +54,7 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     moved.points = moved.points + moved.point_data["displacement_mm"]
     data = moved.point_data if scalars in moved.point_data else moved.cell_data
     values = np.asarray(data[scalars])
-    title = " / ".join(part for part in field_label(scalars) if part)
+    title = field_words(scalars)
     data[title] = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
     across = _across(press.along)
     half = _shaded(moved.clip(normal=across, origin=press.at_mm))

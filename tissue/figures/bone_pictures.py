@@ -25,7 +25,7 @@ from tissue.figures.figure import (
 )
 from tissue.figures.rendering import Camera, Shaded, draw_axes, draw_shaded, paint
 from tissue.figures.section import plane_of
-from tissue.figures.tool_mesh import pose, spin_arc_mm
+from tissue.figures.tool_mesh import pose, spin_arc_mm, tool_turns
 from tissue.scene.tool import Tool
 from tissue.simulation.bone_surface import bone_surface, cut_out, smooth_normals, with_depth, with_layers
 from tissue.simulation.depth_map import HALF, DepthMap
@@ -204,7 +204,7 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     tool = run.scene.tool
     assert isinstance(tool, Tool)
     row = int((run.trace["contact_mm2"] > 0.0).argmax())
-    matrix = pose(run.trace.vectors("tool", "mm")[row], [run.trace[f"tool_q{c}"][row] for c in "xyzw"])
+    matrix = pose(run.trace.vectors("tool", "mm")[row], tool_turns(run.trace)[row])
     share = min(1.0, WIDEST_ARC * camera.height_mm / tool.diameter_mm)
     axes.set_autoscale_on(False)
     arc = camera.pixels(share * spin_arc_mm(tool) @ matrix[:3, :3].T + matrix[:3, 3])

@@ -33,6 +33,7 @@ __all__ = [
     "draw_arrow",
     "draw_outline",
     "field_colours",
+    "field_words",
     "figure",
     "halo",
     "is_vector",
@@ -176,6 +177,13 @@ def field_colours(low: float, high: float) -> str:
     return STRESS if low > 0.0 else OTHER
 
 
+def field_words(name: str) -> str:
+    """Return a field's name in words with its unit, such as ``von Mises / kPa``."""
+    from tissue.simulation.saved_fields import field_label
+
+    return " / ".join(filter(None, field_label(name)))
+
+
 def depth_limit(depth: "DepthMap") -> float:
     """Return the upper end of the depth scale [mm]: the depth of the deepest column."""
     cut = depth.depth_mm[depth.depth_mm > 0.0]
@@ -203,7 +211,8 @@ def draw_outline(
 def draw_arrow(axes: "Axes", start: ArrayLike, end: ArrayLike, colour: str, *, width: float = 1.6) -> None:
     """Draw an arrow between two points of a panel."""
     look = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", np.asarray(end), np.asarray(start), arrowprops=look)
+    (x, y), (to_x, to_y) = np.array([start, end], dtype=np.float64).tolist()
+    axes.annotate("", (to_x, to_y), (x, y), arrowprops=look)
 
 
 def halo(width: float = 4.0) -> "list[AbstractPathEffect]":

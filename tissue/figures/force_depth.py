@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from tissue.figures.figure import COMPONENTS, figure, layer_colours, plain, save, styled
 from tissue.figures.force_time import FLICKER_S, spells
+from tissue.figures.tool_mesh import tool_turns
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.tool import Probe
@@ -90,7 +91,7 @@ def draw_force_depth(run: Run, path: Path, *, axis: int, outward: int) -> str | 
     chart.subplots_adjust(left=0.115, right=0.98, top=1.0 - 0.8 / full, bottom=0.5 / full, hspace=0.12)
     force = trace.vectors("force", "N")[rows]
     model = trace.vectors("model_force", "N")[rows]
-    turns = tool_axes(np.column_stack([trace[f"tool_q{c}"][rows] for c in "xyzw"]))
+    turns = tool_axes(tool_turns(trace)[rows])
     for values, colour, style, label in (
         (lambda f: np.linalg.norm(f, axis=1), "0.1", "-", "magnitude"),
         (

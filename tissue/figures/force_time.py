@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.figures.figure import COMPONENTS, MAGNITUDE, SMALL_NM, figure, layer_colours, plain, save, styled
+from tissue.figures.tool_mesh import tool_turns
 from tissue.haptics.device.device import device_parameters
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.depth_map import tool_axes
@@ -181,7 +182,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
 
     trace = run.trace
     time = trace["time_s"]
-    turned = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
+    turned = tool_axes(tool_turns(trace))
     axes.plot(time, (trace.vectors("tool", "mm") * turned).sum(axis=1), color="0.1")
     axes.set(ylabel="tip along\nits axis / mm", xlabel="time / s")
     colours = layer_colours(trace.layer_names)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.figures.figure import field_colours, halo
+from tissue.figures.figure import field_colours, field_words, halo
 from tissue.figures.organ_surface import SHOWN, at_nodes, drawn_surface, inclusions, section_cap, with_normals
 from tissue.figures.rendering import FIELD_AMBIENT, Camera, Shaded, draw_axes, draw_shaded, paint
-from tissue.figures.tool_mesh import pose
-from tissue.simulation.saved_fields import IN_MM, field_label, field_limits, field_values
+from tissue.figures.tool_mesh import pose, tool_turns
+from tissue.simulation.saved_fields import IN_MM, field_limits, field_values
 from tissue.simulation.series import CELL_TYPES, frame_mesh
 from tissue.simulation.trace import Table
 
@@ -116,7 +116,7 @@ def draw_press(
         """Return the deformed organ, whole and cut open, with the tool."""
         import pyvista
 
-        place = pose(tips, [trace[f"tool_q{c}"][row] for c in "xyzw"])
+        place = pose(tips, tool_turns(trace)[row])
         probe = pyvista.PolyData() if tool is None else tool.transform(place, inplace=False)
         surfaces = [_organ(mesh, each, tips, edge, eye) for each in shown]
         organ = np.asarray(surfaces[0].points)
@@ -136,7 +136,7 @@ def draw_press(
                 _name_inclusion(axes, *edge, shaded.cameras[0])
             place = shaded.chart.add_axes((left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot))
             bar = shaded.chart.colorbar(each.colours, cax=place, orientation="horizontal")
-            words = " / ".join(part for part in field_label(each.name) if part)
+            words = field_words(each.name)
             bar.set_label(words + (", cut open at the tool" if each.opened else ""))
             if each.ends[0] > 0.0:
                 ticks = np.geomspace(*each.ends, 4).tolist()

@@ -12,6 +12,7 @@ from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.figures.figure import EDGE, axis_names, draw_outline, figure, layer_colours, save, styled
 from tissue.figures.organ_surface import interpolate_in_layers
+from tissue.figures.tool_mesh import tool_turns
 from tissue.models.keep_clear import Distance
 from tissue.simulation.depth_map import HALF, tool_axes
 from tissue.simulation.run import Run
@@ -218,7 +219,7 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
     trace = run.trace
     row = section.row
     tips = trace.vectors("tool", "mm")
-    turn = tool_axes(np.column_stack([trace[f"tool_q{c}"][row : row + 1] for c in "xyzw"]))[0]
+    turn = tool_axes(tool_turns(trace))[row]
     along = turn[[section.across, section.axis]]
     along = along / max(float(np.hypot(*along)), 1e-9)
     side = np.array([along[1], -along[0]])
@@ -318,7 +319,7 @@ def nearest_places(run: Run) -> list[Nearest]:
     found = []
     for name, distance in () if clear is None else clear.distances.items():
         row = int(np.argmin(trace[f"distance_{name}_mm"]))
-        turn = Rotation.from_quat([trace[f"tool_q{c}"][row] for c in "xyzw"])
+        turn = Rotation.from_quat(tool_turns(trace)[row])
         body_m = 1e-3 * trace.vectors("tool", "mm")[row] + turn.apply(np.asarray(clear.points_m) if clear else [])
         point = body_m[int(np.argmin(distance(body_m)))]
         steps = np.vstack([np.zeros(3), STEP_M * np.eye(3), -STEP_M * np.eye(3)])

@@ -14,7 +14,9 @@ from tissue.scene.tool import Needle, Probe, Tool
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["pose", "spin_arc_mm", "tool_surface", "turning_tool"]
+    from tissue.simulation.trace import Table
+
+__all__ = ["pose", "spin_arc_mm", "tool_surface", "tool_turns", "turning_tool"]
 
 NEEDLE_MM = 80.0
 POINT = 2.0
@@ -83,6 +85,11 @@ def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
     matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     matrix[:3, 3] = tip_mm
     return matrix
+
+
+def tool_turns(trace: "Table") -> NDArray[np.float64]:
+    """Return the orientations of the tool in a trace as quaternions (x, y, z, w), shape (rows, 4)."""
+    return np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
 
 
 def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvista.PolyData":

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from tissue.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, field_colours, layer_colours
 from tissue.figures.organ_surface import with_normals
-from tissue.figures.tool_mesh import turning_tool
+from tissue.figures.tool_mesh import tool_turns, turning_tool
 from tissue.reporting.packing import Record, packed, packed_mesh, packed_shares, packed_vectors
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
@@ -110,7 +110,7 @@ def _add_tool(record: Record, trace: Table, scene: Scene | None, around: Shown, 
     tips = trace.vectors("tool", "mm")
     every = max(-(-len(tips) // MOST_POSES), 1)
     rows = np.unique(np.append(np.arange(0, len(tips), every), len(tips) - 1))
-    turns = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
+    turns = tool_turns(trace)
     surface = turning_tool(scene.tool if scene is not None else None)
     poses = {"rows": rows.tolist(), "tool": packed_vectors(tips[rows]), "turns": packed_vectors(turns[rows])}
     if "device_x_mm" in trace and scene is not None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.figures.figure import COMPONENTS
-from tissue.figures.tool_mesh import pose
+from tissue.figures.tool_mesh import pose, tool_turns
 from tissue.simulation.trace import Table
 from tissue.viewer.plotter import Plotter, add_text
 from tissue.viewer.saved_surfaces import tool_force
@@ -55,7 +55,7 @@ class MomentShown:
         self._trace = trace
         self._tips = trace.vectors("tool", "mm")
         self._force = tool_force(trace)
-        self._turns = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
+        self._turns = tool_turns(trace)
         every = slice(None, None, max(len(trace.rows) // MOST_POINTS, 1))
         path = self._tips[every]
         if len(path) > 1 and np.ptp(path, axis=0).max() > 0.0:

@@ -14,6 +14,7 @@ from meshes.base.isolated_parser import parse_isolated
 from meshes.base.placement import Placement
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.registry import motion_of
+from tissue.figures.tool_mesh import tool_turns
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.pose_file import poses_of_trace, read_poses
 from tissue.scene.named_parts import loaded
@@ -256,7 +257,7 @@ def _over_time(
     if not isinstance(scene.tool, Tool) or scene.tool.spin_rpm == 0.0 or uncut or not len(trace.rows):
         return BoneOverTime(volume, volume.fraction if end is None else end)
     if poses is None:
-        axes = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
+        axes = tool_axes(tool_turns(trace))
         velocities = np.hstack([1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")])
         poses = poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes, velocities)
     import warp as wp

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.figure import field_words
 from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.saved_fields import field_label
 from tissue.viewer.controls import HELP as CLIP_HELP
 from tissue.viewer.controls import ClipPlane, LayerKeys, NameList, Playback, PointRead
 from tissue.viewer.export import add_scale_bar, leave_alone, movie_times_s
@@ -122,7 +122,7 @@ class Window:
         if fields is None or series is None:
             return
         plotter.add_key_event("m", self.next)
-        labels = [(name, " / ".join(part for part in field_label(name) if part)) for name in series.names]
+        labels = [(name, field_words(name)) for name in series.names]
         bone = [(None, "bone")] if self.bone is not None else []
         names = self.names = NameList(plotter, "shown (click, or m)", [*bone, *labels], choose=self.choose)
         names.mark(fields.name)

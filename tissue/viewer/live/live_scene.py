@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.figures.figure import layer_colours
-from tissue.figures.tool_mesh import turning_tool
+from tissue.figures.tool_mesh import tool_turns, turning_tool
 from tissue.scene.scene import Scene
 from tissue.simulation.bone_surface import smooth_normals, with_layers
 from tissue.simulation.live.shared import SharedArrays
@@ -64,7 +64,7 @@ class Readings:
         plays = "device_force_x_N" in table
         return cls(
             tip_mm=table.vectors("tool", "mm")[0],
-            turn=np.array([table[f"tool_q{c}"][0] for c in "xyzw"]),
+            turn=tool_turns(table)[0],
             force_N=table.vectors("model_force", "N")[0],
             torque_Nm=table.vectors("model_torque", "Nm")[0],
             device_N=float(np.linalg.norm(table.vectors("device_force", "N")[0])) if plays else None,

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import to_hex
 
+from tissue.figures.figure import field_words
 from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.saved_fields import field_label
 from tissue.viewer.plotter import aim, new_plotter
 from tissue.viewer.run_scene import Choice, RunScene
 from tissue.viewer.saved_surfaces import tool_force
@@ -147,7 +147,7 @@ class ViewPage:
         if shown.bone is not None:
             choices = {DEPTH: DEPTH, LAYER: LAYER} if shown.bone.is_cut else {LAYER: LAYER}
         if shown.series is not None:
-            choices |= {name: " / ".join(filter(None, field_label(name))) for name in shown.series.names}
+            choices |= {name: field_words(name) for name in shown.series.names}
         return choices
 
     def _choose(self, name: str) -> str:
