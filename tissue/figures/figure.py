@@ -210,7 +210,15 @@ def draw_outline(
 
 def draw_arrow(axes: "Axes", start: ArrayLike, end: ArrayLike, colour: str, *, width: float = 1.6) -> None:
     """Draw an arrow between two points of a panel."""
-    look = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
+    head = 6.0 + 5.0 * width  # a thicker line needs a larger head to show its direction
+    look = {
+        "arrowstyle": "-|>",
+        "color": colour,
+        "linewidth": width,
+        "mutation_scale": head,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
     (x, y), (to_x, to_y) = np.array([start, end], dtype=np.float64).tolist()
     axes.annotate("", (to_x, to_y), (x, y), arrowprops=look)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.figures.figure import COMPONENTS, figure, layer_colours, plain, save, styled
+from tissue.figures.figure import COMPONENTS, draw_arrow, figure, layer_colours, plain, save, styled
 from tissue.figures.force_time import FLICKER_S, spells
 from tissue.figures.tool_mesh import tool_turns
 from tissue.models.tissue_model import TICK_S
@@ -264,9 +264,8 @@ def draw_wall(run: Run, path: Path) -> None:
     low = min(1.3 * lowest, -1.0)
     high = max(tips[:, 2].max(), 2.2 * radius)
     if force[row] > 0.0:
-        arrow = {"arrowstyle": "-|>", "color": FORCE, "linewidth": 2.0, "shrinkA": 0, "shrinkB": 0}
         end = tips[row, 2] + LONGEST * (high - low)
-        side.annotate("", (at, end), (at, tips[row, 2]), arrowprops=arrow)
+        draw_arrow(side, (at, tips[row, 2]), (at, end), FORCE, width=2.0)
         side.annotate(
             f"{force[row]:.3g} N",
             (at, end),
