@@ -113,7 +113,7 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
     from matplotlib.colors import ListedColormap
 
     from meshes.base.errors import InputError
-    from tissue.figures.style import BONE, layer_colours
+    from tissue.figures.figure import BONE, layer_colours
 
     if not surface.n_cells:
         raise InputError("bone must have been cut to show what was removed, got an uncut one: cut it first")

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from meshes.base.errors import InputError
-from tissue.api.html import table_html
+from tissue.api.html import figures_of, table_html
 from tissue.api.run import Run, open_run
-from tissue.api.run_figures import figures_of
 from tissue.api.trace import needed
 from tissue.evaluation.same_task import path_note
 from tissue.scene.scene import Scene
@@ -118,7 +117,7 @@ class Comparison:
         InputError
             If a run never touches, so that it has no depth.
         """
-        from tissue.api.overlay import overlay
+        from tissue.api.plots import overlay
 
         return overlay({name: run.trace for name, run in self.runs.items()}, over=over)
 

@@ -147,7 +147,7 @@ class Cut:
         """
         import matplotlib.pyplot as plt
 
-        from tissue.figures.style import COMPONENTS
+        from tissue.figures.figure import COMPONENTS
 
         if over is None:
             figure, panels = plt.subplots(2, 1, sharex=True, figsize=(7.0, 4.5), layout="constrained")

@@ -45,7 +45,7 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
     """
     from matplotlib import colormaps
 
-    from tissue.simulation.saved_fields import field_label
+    from tissue.figures.figure import field_words
 
     moved = press.mesh.copy()
     known = [*moved.point_data, *moved.cell_data]
@@ -53,7 +53,8 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
         raise InputError(f"scalars must be one of {', '.join(known)}, got {scalars}: use displacement_mm")
     moved.points = moved.points + moved.point_data["displacement_mm"]
     data = moved.point_data if scalars in moved.point_data else moved.cell_data
-    values, title = np.asarray(data[scalars]), " / ".join(part for part in field_label(scalars) if part)
+    values = np.asarray(data[scalars])
+    title = field_words(scalars)
     data[title] = values if values.ndim == 1 else np.linalg.norm(values, axis=1)
     across = _across(press.along)
     half = _shaded(moved.clip(normal=across, origin=press.at_mm))
@@ -71,7 +72,8 @@ def plot_press(press: Press, *, scalars: str = "displacement_mm", **options: Any
             outline.points = outline.points + 0.1 * across  # in front of the cut
             plotter.add_mesh(outline, color="black", line_width=2)
     plotter.add_mesh(press.tool_mesh, color=TOOL, smooth_shading=True)
-    middle, size = np.asarray(moved.center), float(np.linalg.norm(np.ptp(moved.points, axis=0)))
+    middle = np.asarray(moved.center)
+    size = float(np.linalg.norm(np.ptp(moved.points, axis=0)))
     plotter.camera_position = [middle + size * (1.9 * across - 0.5 * press.along), middle, -press.along]
     plotter.add_text(f"{press.force_magnitude_N:.3g} N at {press.depth_mm[-1]:.3g} mm", font_size=11, color="black")
     return plotter.show(**options)
@@ -88,9 +90,10 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
     options
         Those of ``pyvista.Plotter.show``; ``off_screen`` and ``notebook`` are the plotter's.
     """
-    from tissue.figures.style import OTHER_LAYERS
+    from tissue.figures.figure import OTHER_LAYERS
 
-    grid, names = organ.mesh, list(organ.moduli_kPa)
+    grid = organ.mesh
+    names = list(organ.moduli_kPa)
     plotter = _plotter(options)
     alone = len(names) == 1
     plotter.add_mesh(_shaded(grid), color=TISSUE, opacity=1.0 if alone else 0.35, **MATTE)
@@ -106,20 +109,20 @@ def plot_organ(organ: Organ, **options: Any) -> Any:
 
 
 def _across(along: Any) -> Any:
-    """Direction at right angles to a press, as far along -y as can be."""
+    """Return a direction at right angles to a press, as close to -y as possible."""
     first = np.array([0.0, -1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = first - (first @ along) * along
     return first / np.linalg.norm(first)
 
 
 def _shaded(body: pyvista.DataSet) -> pyvista.PolyData:
-    """Surface of a body with normals that point out of it and keep its edges."""
+    """Return the surface of a body with outward normals that keep its edges."""
     surface = body.extract_surface(algorithm="dataset_surface").triangulate()
     return surface.compute_normals(auto_orient_normals=True, split_vertices=True, feature_angle=40.0)
 
 
 def _plotter(options: dict[str, Any]) -> pyvista.Plotter:
-    """A plotter on white, with what of the options is its own taken out of them."""
+    """Return a plotter on white, and remove its own options from those given."""
     import pyvista
 
     mine = {name: options.pop(name) for name in ("off_screen", "notebook", "window_size") if name in options}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from meshes.base.progress import Progress, silent
 from meshes.base.visible_text import visible
-from tissue.api.notebook import in_notebook
+from tissue.api.show import in_notebook
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from tissue.api.html import run_html, run_line
 from tissue.api.progress import Bar, reporting
 from tissue.api.run_data import RunData
-from tissue.api.run_figures import run_html, run_line
 from tissue.api.saved_folder import SavedFolder
 
 if TYPE_CHECKING:

@@ -125,7 +125,7 @@ class SavedFolder:
     def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
         """What was simulated, as pyvista shows it, in the scene's frame in mm."""
         from tissue.simulation.bone_files import voxel_image
-        from tissue.viewer.run import require_whole
+        from tissue.viewer.saved_surfaces import require_whole
 
         if (self.path / "bone.vti").is_file() or not field_names(self.path):
             return voxel_image(self.volume, self.remaining)
@@ -171,8 +171,7 @@ class SavedFolder:
         from dataclasses import replace
 
         from tissue.motion.pose_file import read_poses
-        from tissue.viewer.carving import read_voxels
-        from tissue.viewer.run import require_whole
+        from tissue.viewer.saved_surfaces import read_voxels, require_whole
 
         file, poses = self.path / "bone.vti", self.path / "carving" / "poses.npz"
         if not file.is_file():

@@ -12,7 +12,7 @@ from tissue.api.progress import Bar, reporting
 from tissue.api.run import Run
 from tissue.builders.device import opened_device
 from tissue.builders.parts import Parts
-from tissue.figures.report import draw_pictures
+from tissue.figures.pictures import draw_pictures
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.scene.scene import Scene

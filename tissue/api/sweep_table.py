@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissue.api.comparison import Comparison
-from tissue.api.html import table_html
+from tissue.api.html import figures_of, table_html
 from tissue.api.run import Run, open_run
-from tissue.api.run_figures import figures_of
 from tissue.api.tables import write_table
 from tissue.api.trace import needed
 from tissue.evaluation.same_task import path_note
@@ -150,7 +149,7 @@ class Sweep:
         InputError
             If there is nothing to draw, or not one or two keys were swept.
         """
-        from tissue.api.sweep_picture import draw_figures
+        from tissue.api.plots import draw_figures
 
         return draw_figures(self, figures)
 
@@ -158,7 +157,7 @@ class Sweep:
         """Write ``sweep.csv``, and where there is more than one finished run ``compare.png`` and ``sweep.png``."""
         from matplotlib import pyplot
 
-        from tissue.api.sweep_picture import can_be_drawn
+        from tissue.api.plots import can_be_drawn
         from tissue.figures.figure import save
 
         write_table(out / "sweep.csv", *self.rows())

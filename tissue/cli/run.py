@@ -219,7 +219,7 @@ def _simulated(
         report("starting Warp", 0.0)
         from tissue.api.run import Run
         from tissue.api.simulate import simulate
-        from tissue.figures.report import draw_pictures
+        from tissue.figures.pictures import draw_pictures
 
         if not live:
             return simulate(scene, progress=report, **settings)

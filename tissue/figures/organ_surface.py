@@ -1,16 +1,18 @@
-"""An organ's tetrahedra as they are drawn: a boundary without facets, and a section with values between the nodes."""
+"""Fields of meshes as they are drawn: a boundary without facets, and sections with values between the nodes."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
+from tissue.fem.fields import FieldSeries
 from tissue.simulation.saved_fields import field_values
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["SHOWN", "at_nodes", "drawn_surface", "inclusions", "section_cap", "with_normals"]
+__all__ = ["SHOWN", "at_nodes", "drawn_surface", "inclusions", "interpolate_in_layers", "section_cap", "with_normals"]
 
 SHOWN = "shown"
 """Point array of the values that are drawn."""
@@ -22,8 +24,12 @@ CAP_EDGE, MOST_PASSES = 0.012, 10
 """Longest edge of a section's triangles, in diagonals of the organ, and how often they are divided for that."""
 
 
+INWARD = 5e-3
+"""Fraction of the distance to the middle of a cell by which a place on its boundary is moved to lie inside."""
+
+
 def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvista.PolyData":
-    """The boundary through the mesh's nodes, bent between them by its normals except at sharp edges (Vlachos 2001).
+    """Return the boundary of a mesh, curved between its nodes by their normals except at sharp edges (Vlachos 2001).
 
     Parameters
     ----------
@@ -42,14 +48,15 @@ def drawn_surface(mesh: "pyvista.DataSet", values: NDArray[np.float32]) -> "pyvi
 
 
 def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """Each triangle in four; a new point is the middle of its edge's curve, at right angles to both ends' normals.
+    """Divide each triangle in four. New points lie on curves at right angles to the normals at both ends of an edge.
 
     Both sides of a sharp edge have points of their own there; they are kept together by the mean of their curves.
     """
     import pyvista
 
     points, normals = (np.asarray(each, dtype=np.float64) for each in (surface.points, surface.point_data["Normals"]))
-    faces, values = surface.regular_faces, np.asarray(surface.point_data[SHOWN])
+    faces = surface.regular_faces
+    values = np.asarray(surface.point_data[SHOWN])
     edges, of_face = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0,
                                return_inverse=True)  # fmt: skip
     first, second = edges.T
@@ -62,7 +69,8 @@ def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
     copies = np.bincount(same)
     bent = np.column_stack([np.bincount(same, bent[:, c]) / copies for c in range(3)])[same]
     middle = 0.5 * (points[first] + points[second]) + bent
-    (a, b, c), (ab, bc, ca) = faces.T, (len(points) + of_face.reshape(-1, 3)).T
+    (a, b, c) = faces.T
+    (ab, bc, ca) = (len(points) + of_face.reshape(-1, 3)).T
     quarters = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]).transpose(2, 0, 1).reshape(-1, 3)
     fine = pyvista.PolyData.from_regular_faces(np.vstack([points, middle]), quarters)
     fine.point_data[SHOWN] = np.concatenate([values, 0.5 * (values[first] + values[second])])
@@ -70,7 +78,7 @@ def _divided(surface: "pyvista.PolyData") -> "pyvista.PolyData":
 
 
 def with_normals(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """Triangles with normals at their points, which keep sharp edges."""
+    """Return triangles with normals at their points, which keep sharp edges."""
     return surface.compute_normals(
         cell_normals=False, split_vertices=True, feature_angle=SHARP_DEG, consistent_normals=False
     )
@@ -84,7 +92,7 @@ def section_cap(
     place_mm: NDArray[np.float64],
     normal: NDArray[np.float64],
 ) -> "pyvista.PolyData":
-    """A plane inside a drawn boundary: values as the point array `SHOWN`, the layer as ``layer``.
+    """Return the section inside a drawn boundary, with values as the point array `SHOWN`.
 
     Values of cells are averaged at the nodes of each layer by itself, so that an inclusion keeps its edge.
     """
@@ -99,49 +107,49 @@ def section_cap(
     if not cap.n_cells:
         return cap
     cap = cap.subdivide_adaptive(max_edge_len=CAP_EDGE * surface.length, max_n_passes=MOST_PASSES)
-    places, layers = np.asarray(cap.points, dtype=np.float64), np.asarray(mesh.cell_data["layer"])
+    places = np.asarray(cap.points, dtype=np.float64)
+    layers = np.asarray(mesh.cell_data["layer"])
     several = layers.min() < layers.max()
     layer = layers[mesh.find_closest_cell(places)] if several else np.full(len(places), layers[0])
     values = np.zeros(len(places))
     for index in np.unique(layer):
-        part, there = mesh.extract_cells(np.flatnonzero(layers == index).tolist()), layer == index
-        values[there] = _sampled(part, at_nodes(part, name), places[there])
-    cap.point_data[SHOWN], cap.point_data["layer"] = values, layer
+        there = layer == index
+        part = mesh.extract_cells(np.flatnonzero(layers == index).tolist())
+        at = at_nodes(part, name)
+        part.clear_data()
+        part.point_data[SHOWN] = at
+        values[there] = _sampled(part, places[there])
+    cap.point_data[SHOWN] = values
     return cap
 
 
 def at_nodes(mesh: "pyvista.DataSet", name: str) -> NDArray[np.float32]:
-    """A field at the nodes: its own values there, or the mean of the cells around."""
+    """Return a field at the nodes: its own values there, or the mean of the cells around."""
     values = field_values(mesh if name in mesh.point_data else mesh.cell_data_to_point_data(), name)
     assert values is not None
     return np.asarray(values)
 
 
-def _sampled(mesh: "pyvista.DataSet", values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values between the nodes of tetrahedra; outside all of them those at the nearest place inside."""
+def _sampled(mesh: "pyvista.DataSet", places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Interpolate `SHOWN` in a mesh. Places outside take the value at the nearest place inside.
+
+    There are such places because the drawn boundary is bent outward between the nodes.
+    """
     import pyvista
 
-    body = mesh.copy(deep=False)
-    body.clear_data()
-    body.point_data[SHOWN] = values
-    found = pyvista.PolyData(places).sample(body)
-    result = np.array(found.point_data[SHOWN], dtype=np.float64)
+    found = pyvista.PolyData(places).sample(mesh)
+    values = np.array(found.point_data[SHOWN], dtype=np.float64)
     outside = np.flatnonzero(np.asarray(found.point_data["vtkValidPointMask"]) == 0)
     if len(outside):
-        nearest: object = mesh.find_closest_cell(places[outside], return_closest_point=True)
-        assert isinstance(nearest, tuple)
+        nearest: Any = mesh.find_closest_cell(places[outside], return_closest_point=True)
         cell, closest = nearest
-        nodes = mesh.cell_connectivity.reshape(-1, 4)[cell]
-        corner = np.asarray(mesh.points, dtype=np.float64)[nodes]
-        edges = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1)
-        share = (np.linalg.pinv(edges) @ (closest - corner[:, 0])[:, :, None])[:, :, 0]
-        share = np.clip(np.column_stack([1.0 - share.sum(axis=1), share]), 0.0, 1.0)
-        result[outside] = (share * values[nodes]).sum(axis=1) / share.sum(axis=1)
-    return result
+        inside = closest + INWARD * (mesh.cell_centers().points[cell] - closest)
+        values[outside] = pyvista.PolyData(inside).sample(mesh).point_data[SHOWN]
+    return values
 
 
 def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDArray[np.intp]:
-    """Cells of the smallest layer that lies inside the others, such as a nodule; empty where there is none.
+    """Return the cells of the smallest layer inside the others, such as a nodule. It is empty where there is none.
 
     Parameters
     ----------
@@ -150,10 +158,57 @@ def inclusions(corners: NDArray[np.floating], layer: NDArray[np.integer]) -> NDA
     layer
         Layer of each cell, shape (cells,).
     """
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    low = corners.min(axis=1)
+    high = corners.max(axis=1)
     found = []
     for index in np.unique(layer):
         here = layer == index
         if (low[here].min(axis=0) > low.min(axis=0)).all() and (high[here].max(axis=0) < high.max(axis=0)).all():
             found.append(np.flatnonzero(here))
     return min(found, key=len, default=np.zeros(0, dtype=np.intp))
+
+
+def interpolate_in_layers(
+    series: FieldSeries, values: NDArray[np.floating], place_m: Array, layer: NDArray[np.integer]
+) -> Array:
+    """Interpolate values trilinearly between the centres of the cells of each place's layer.
+
+    Cells of another layer or without a value do not count; where none of the eight around a place is left, the nearest
+    cell of its layer does, or of any layer where it has none.
+
+    Parameters
+    ----------
+    series
+        Cubes of one edge on a lattice.
+    values
+        Value of each cell, shape (cells,), not a number where a cell is gone.
+    place_m, layer
+        The places [m], shape (k, 3), and the layer of each, shape (k,).
+    """
+    from scipy.ndimage import map_coordinates
+    from scipy.spatial import cKDTree
+
+    there = np.flatnonzero(np.isfinite(values))
+    result = np.full(len(place_m), np.nan)
+    if len(there) == 0:
+        return result
+    corners = series.nodes_m[series.cells[there]]
+    centre = corners.mean(axis=1)
+    edge = float(np.ptp(corners[0, :, 0]))
+    low = centre.min(axis=0)
+    lattice = np.rint((centre - low) / edge).astype(int)
+    for index in np.unique(layer):
+        here = np.flatnonzero(layer == index)
+        same = np.flatnonzero(series.layer[there] == index)
+        # Normalised convolution: the interpolated sum of values over the interpolated count of cells.
+        total, weight = np.zeros((2, *(lattice.max(axis=0) + 1)))
+        total[tuple(lattice[same].T)] = values[there[same]]
+        weight[tuple(lattice[same].T)] = 1.0
+        at = ((place_m[here] - low) / edge).T
+        totals, weights = (map_coordinates(each, at, order=1, mode="grid-constant") for each in (total, weight))
+        found = weights > 1e-9
+        result[here[found]] = totals[found] / weights[found]
+        rows = same if len(same) else np.arange(len(there))
+        rest = here[~found]
+        result[rest] = values[there[rows[cKDTree(centre[rows]).query(place_m[rest])[1]]]]
+    return result

@@ -1,5 +1,6 @@
-"""A section through the deepest point that the tool reached, at one moment: layers, what was removed, and stress."""
+"""Section through the deepest point of the tool: layers, removed tissue, stress and structures to keep clear of."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,10 +10,10 @@ from numpy.typing import NDArray
 
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.figures.figure import figure, save, styled
-from tissue.figures.kept_clear import draw_kept_clear, kept_window, nearest_places
-from tissue.figures.layer_interpolation import interpolate_in_layers
-from tissue.figures.style import EDGE, axis_names, draw_outline, layer_colours
+from tissue.figures.figure import EDGE, axis_names, draw_outline, figure, layer_colours, save, styled
+from tissue.figures.organ_surface import interpolate_in_layers
+from tissue.figures.tool_mesh import tool_turns
+from tissue.models.keep_clear import Distance
 from tissue.simulation.depth_map import HALF, tool_axes
 from tissue.simulation.run import Run
 
@@ -21,7 +22,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
 
-__all__ = ["Section", "draw_section", "loaded_frame", "moment_of", "plane_of", "section_of"]
+__all__ = [
+    "Section",
+    "Window",
+    "draw_kept_clear",
+    "draw_section",
+    "kept_window",
+    "loaded_frame",
+    "moment_of",
+    "nearest_places",
+    "plane_of",
+    "section_of",
+]
 
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
@@ -66,7 +78,7 @@ class Section:
 
 
 def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, float]:
-    """The plane through the deepest point so far, along the tool's axis and its main direction.
+    """Return the plane through the deepest point so far, along the tool's axis and its main direction.
 
     Returns
     -------
@@ -84,7 +96,7 @@ def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, 
 
 
 def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
-    """The section through the deepest point so far, along the tool's axis and the tool's main direction.
+    """Return the section through the deepest point so far, along the tool's axis and its main direction.
 
     Parameters
     ----------
@@ -97,7 +109,8 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
     """
     volume = run.volume
     across, normal, place = plane_of(run, axis=axis, outward=outward, row=row)
-    spacing, origin = 1e3 * volume.spacing_m, 1e3 * volume.origin_m
+    spacing = 1e3 * volume.spacing_m
+    origin = 1e3 * volume.origin_m
     index = int(np.clip(np.floor((place - origin[normal]) / spacing), 0, volume.shape[normal] - 1))
     left = run.remaining if run.poses is None else run.replay().at(row)
     planes = (np.take(array, index, axis=normal) for array in (volume.fraction, left, volume.layer))
@@ -117,7 +130,7 @@ def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
 
 
 def loaded_frame(series: FieldSeries) -> Frame | None:
-    """The last frame under load: stress of at least a tenth of the run's peak; None where there is no stress at all."""
+    """Return the last frame with at least a tenth of the run's peak stress, or None without any stress."""
     peaks = [float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0)) for frame in series.frames]
     if not any(peaks):
         return None
@@ -125,8 +138,9 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
 
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
-    """Row of the trace at the moment that a section shows, and the fields then: under load, else at the last cut."""
-    series, cutting = run.parts.fields, np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+    """Return the row of the trace and the fields at the moment of the section: under load, else at the last cut."""
+    series = run.parts.fields
+    cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
     frame = None if series is None else loaded_frame(series)
     if frame is None:
         return int(cutting[-1]) if cutting.size else len(run.trace.rows) - 1, None
@@ -185,10 +199,11 @@ def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
 
 
 def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
-    """Every voxel in its layer's colour, pale as far as it was removed."""
+    """Draw every voxel in its layer's colour, pale where it was removed."""
     colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
     pale = 1.0 - REMOVED_TINT * (1.0 - colours)
-    left, start = section.left[..., None], section.start[..., None]
+    left = section.left[..., None]
+    start = section.start[..., None]
     paint = left * colours + (start - left) * pale + (1.0 - start)
     axes.imshow(
         np.clip(paint, 0.0, 1.0).swapaxes(0, 1), origin="lower", extent=section.extent_mm, interpolation="nearest"
@@ -198,12 +213,13 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
 
 
 def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
-    """Outline of the tool at one moment, and the path of its tip so far."""
+    """Draw the outline of the tool at one moment, and the path of its tip so far."""
     from matplotlib.patheffects import withStroke
 
-    trace, row = run.trace, section.row
+    trace = run.trace
+    row = section.row
     tips = trace.vectors("tool", "mm")
-    turn = tool_axes(np.column_stack([trace[f"tool_q{c}"][row : row + 1] for c in "xyzw"]))[0]
+    turn = tool_axes(tool_turns(trace))[row]
     along = turn[[section.across, section.axis]]
     along = along / max(float(np.hypot(*along)), 1e-9)
     side = np.array([along[1], -along[0]])
@@ -217,7 +233,7 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
 
 
 def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Section) -> "AxesImage":
-    """Von Mises stress of the tissue that is left, between the cells of each layer, on a logarithmic scale."""
+    """Draw the von Mises stress of the remaining tissue on a logarithmic scale."""
     from matplotlib.colors import LogNorm
 
     stress = _section_stress(series, frame, section)
@@ -233,9 +249,10 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
 
 
 def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> NDArray[np.float64]:
-    """Stress at the centres of the section's voxels [MPa], each in its layer."""
+    """Return the stress at the centres of the section's voxels [MPa], each in its layer."""
     u0, u1, v0, v1 = section.extent_mm
-    (columns, rows), places = section.layer.shape, np.empty((*section.layer.shape, 3))
+    (columns, rows) = section.layer.shape
+    places = np.empty((*section.layer.shape, 3))
     places[..., section.across] = (u0 + (u1 - u0) * (np.arange(columns) + 0.5) / columns)[:, None]
     places[..., section.axis] = v0 + (v1 - v0) * (np.arange(rows) + 0.5) / rows
     places[..., section.normal] = section.place_mm
@@ -244,7 +261,7 @@ def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> NDAr
 
 
 def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
-    """Entries of a legend: the layers that the section shows, and the marks in it."""
+    """Return legend entries: the layers of the section, and its marks."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -258,3 +275,104 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
         Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip"),
         *([Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers that are left")] if borders else []),
     ]
+
+
+Window = tuple[float, float, float, float]
+"""Lowest and highest coordinate along the two axes of a section, (u0, u1, v0, v1) [mm]."""
+STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
+"""After Okabe and Ito (2008)."""
+AROUND_MM = 3.0
+"""What is shown of a structure beyond its nearest point."""
+ACROSS = 200
+"""Points along each side of the section at which the distance is asked for."""
+STEP_M = 1e-5
+"""Of the differences that make the direction of a distance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """Smallest distance between the tool and a structure.
+
+    Attributes
+    ----------
+    name, distance
+        The structure.
+    tool_mm, structure_mm
+        Points of the tool's body and of the structure's surface [mm], shape (3,).
+    least_mm
+        Their distance, negative inside the structure [mm].
+    """
+
+    name: str
+    distance: Distance
+    tool_mm: NDArray[np.float64]
+    structure_mm: NDArray[np.float64]
+    least_mm: float
+
+
+def nearest_places(run: Run) -> list[Nearest]:
+    """Return the smallest distance of the tool from each structure to keep clear of."""
+    from scipy.spatial.transform import Rotation
+
+    clear = run.parts.keep_clear
+    trace = run.trace
+    found = []
+    for name, distance in () if clear is None else clear.distances.items():
+        row = int(np.argmin(trace[f"distance_{name}_mm"]))
+        turn = Rotation.from_quat(tool_turns(trace)[row])
+        body_m = 1e-3 * trace.vectors("tool", "mm")[row] + turn.apply(np.asarray(clear.points_m) if clear else [])
+        point = body_m[int(np.argmin(distance(body_m)))]
+        steps = np.vstack([np.zeros(3), STEP_M * np.eye(3), -STEP_M * np.eye(3)])
+        values = np.asarray(distance(point + steps), dtype=np.float64)
+        slope = (values[1:4] - values[4:]) / (2.0 * STEP_M)
+        on_surface = point - values[0] * slope / max(float(np.linalg.norm(slope)), 1e-9)
+        least = float(trace[f"distance_{name}_mm"][row])
+        found.append(Nearest(name, distance, 1e3 * point, 1e3 * on_surface, least))
+    return found
+
+
+def kept_window(places: Sequence[Nearest], window: Window, tissue: NDArray[np.bool_], across: int, axis: int) -> Window:
+    """Return a window around the tissue of a section, shape (nu, nv), and the nearest point of each structure."""
+    if not places or not tissue.any():
+        return window
+    u0, u1, v0, v1 = window
+    size = np.array([u1 - u0, v1 - v0]) / tissue.shape
+    (a, b), (c, d) = ((each.min() * s, (each.max() + 1) * s) for each, s in zip(np.nonzero(tissue), size, strict=True))
+    u0, u1 = max(u0, u0 + a - AROUND_MM), min(u1, u0 + b + AROUND_MM)
+    v0, v1 = max(v0, v0 + c - AROUND_MM), min(v1, v0 + d + AROUND_MM)
+    for place in places:
+        u, v = place.structure_mm[[across, axis]].tolist()
+        u0 = min(u0, u - AROUND_MM)
+        u1 = max(u1, u + AROUND_MM)
+        v0 = min(v0, v - AROUND_MM)
+        v1 = max(v1, v + AROUND_MM)
+    return u0, u1, v0, v1
+
+
+def draw_kept_clear(
+    axes: "Axes", places: Sequence[Nearest], window: Window, across: int, axis: int, place_mm: float
+) -> "list[Artist]":
+    """Draw structures in a section at a place along its normal; returns entries of a legend with the least distances.
+
+    A line between two dots joins the points of tool and structure that came nearest, seen along the normal.
+    """
+    from matplotlib.lines import Line2D
+
+    u, v = (np.linspace(window[k], window[k + 1], ACROSS) for k in (0, 2))
+    points = np.full((ACROSS, ACROSS, 3), place_mm)
+    points[..., across] = u[None, :]
+    points[..., axis] = v[:, None]
+    handles: list[Artist] = []
+    for number, place in enumerate(places):
+        colour = STRUCTURES[number % len(STRUCTURES)]
+        depth = np.asarray(place.distance(1e-3 * points.reshape(-1, 3))).reshape(ACROSS, ACROSS)
+        if depth.min() < 0.0 < depth.max():
+            axes.contourf(u, v, depth, levels=[float(depth.min()), 0.0], colors=[colour], alpha=0.15)
+            axes.contour(u, v, depth, levels=[0.0], colors=[colour], linewidths=[1.6])
+        ends = np.array([place.tool_mm, place.structure_mm])[:, [across, axis]]
+        axes.plot(*ends.T, "o-", color=colour, markersize=3.5, linewidth=1.0)
+        how = f"{place.least_mm:.2f} mm away" if place.least_mm >= 0.0 else f"{-place.least_mm:.2f} mm inside"
+        label = f"{place.name}; the tool at its nearest, {how}"
+        handles.append(Line2D([], [], color=colour, linewidth=1.6, marker="o", markersize=3.5, label=label))
+    axes.set(xlim=window[:2], ylim=window[2:])
+    return handles

@@ -14,7 +14,9 @@ from tissue.scene.tool import Needle, Probe, Tool
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["pose", "spin_arc_mm", "tool_surface", "turning_tool"]
+    from tissue.simulation.trace import Table
+
+__all__ = ["pose", "spin_arc_mm", "tool_surface", "tool_turns", "turning_tool"]
 
 NEEDLE_MM = 80.0
 POINT = 2.0
@@ -27,7 +29,7 @@ ABOVE = 0.6
 
 
 def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None":
-    """The surface of a tool in its own frame [mm], tip at the origin, z from tip to shank.
+    """Return the surface of a tool in its own frame [mm], tip at the origin, z from tip to shank.
 
     None without a tool, or for one whose file cannot be read any more.
     """
@@ -54,7 +56,7 @@ def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
 
 
 def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None":
-    """`tool_surface`, and around a tool that turns an arrow in the sense of its spin."""
+    """Return `tool_surface`, with an arrow in the sense of rotation around a tool that turns."""
     import pyvista
 
     surface = tool_surface(tool)
@@ -69,19 +71,25 @@ def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
 
 
 def spin_arc_mm(tool: Tool) -> NDArray[np.float64]:
-    """Points of an arc around a tool at the height of its tip, in the sense of its spin, in its own frame [mm]."""
+    """Return an arc around the tool tip in the sense of rotation, in the tool's own frame [mm]."""
     turned = -np.sign(tool.spin_rpm) * np.linspace(0.0, ARC, SIDES)
     radius = 0.575 * tool.diameter_mm
     return np.column_stack([radius * np.cos(turned), radius * np.sin(turned), np.zeros(SIDES)])
 
 
 def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
-    """From a tool's own frame to the world [mm] by its tip and its turn (x, y, z, w), shape (4, 4)."""
+    """Return the transform from a tool frame to the world [mm], shape (4, 4), from tip and quaternion (x, y, z, w)."""
     from scipy.spatial.transform import Rotation
 
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), tip_mm
+    matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    matrix[:3, 3] = tip_mm
     return matrix
+
+
+def tool_turns(trace: "Table") -> NDArray[np.float64]:
+    """Return the orientations of the tool in a trace as quaternions (x, y, z, w), shape (rows, 4)."""
+    return np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
 
 
 def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvista.PolyData":
@@ -90,7 +98,7 @@ def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvis
 
 
 def _turned(line_mm: NDArray[np.float64]) -> "pyvista.PolyData":
-    """A line in the half plane y = 0, turned around z."""
+    """Return the surface of revolution of a line in the half plane y = 0 around z."""
     import pyvista
 
     return pyvista.lines_from_points(line_mm).extrude_rotate(resolution=SIDES, capping=False)

@@ -11,7 +11,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.file_version import package_version
 from meshes.base.whole_file import whole_file
-from tissue.figures.fit import FittedConstant, draw_constants, draw_measured, draw_residuals
+from tissue.figures.fit_pictures import FittedConstant, draw_constants, draw_measured, draw_residuals
 from tissue.fitting.fit import ConstantFit, SceneFit
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.system.html import html_page, html_picture

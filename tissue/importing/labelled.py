@@ -18,8 +18,7 @@ from meshes.images.part import box_of, part_of
 from meshes.organs.from_labels import organ_mesh
 from meshes.tets.grid import write_organ
 from meshes.tooth.layers import TOOTH_LAYERS
-from tissue.figures.ct_organ import draw_ct_organ
-from tissue.figures.ct_slices import draw_ct_slices
+from tissue.figures.ct_pictures import draw_ct_organ, draw_ct_slices
 from tissue.importing.draft import Draft, Writer, scene_tables, toml, write_labels
 from tissue.importing.request import ImportRequest
 from tissue.scene.load import load_scene

@@ -13,10 +13,7 @@ from meshes.ct.inspection import Histogram
 from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import triangle_distance
-from tissue.figures.ct_bone import draw_ct_bone
-from tissue.figures.ct_histogram import draw_ct_histogram
-from tissue.figures.ct_slices import draw_ct_slices
-from tissue.figures.path_depth import draw_path_depth
+from tissue.figures.ct_pictures import draw_ct_bone, draw_ct_histogram, draw_ct_slices, draw_path_depth
 from tissue.importing.placing import ImportedPath, Placed
 
 __all__ = ["BonePictures"]

@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import to_hex
 
-from tissue.figures.style import COMPONENTS, SMALL_NM, layer_colours
+from tissue.figures.figure import COMPONENTS, SMALL_NM, layer_colours
 from tissue.models.tissue_model import TICK_S
 from tissue.reporting.packing import Record, packed, packed_column
-from tissue.reporting.scales import hexadecimal
 from tissue.scene.scene import Scene
 from tissue.simulation.saved_fields import UNITS
 from tissue.simulation.trace import Table
@@ -25,7 +25,7 @@ HIDDEN = ("tool_q", "device_q")
 
 
 def columns(trace: Table) -> Record:
-    """Every number of the trace that varies, and the layer that is met, for the browser."""
+    """Return every varying column of the trace, and the layer at the tip, for the browser."""
     varying = [name for name in trace.columns if name not in ("time_s", "layer") and np.ptp(trace[name]) > 0.0]
     kept = [name for name in varying if np.isfinite(trace[name]).all()]
     layers = trace.rows[:, trace.columns.index("layer")].astype(np.int16)
@@ -37,12 +37,12 @@ def columns(trace: Table) -> Record:
         "columns": {name: packed_column(trace[name]) for name in kept},
         "labels": {name: column_label(name) for name in kept if not name.startswith(HIDDEN)},
         "layer": packed(layers),
-        "layers": [[name, hexadecimal(colours[name])] for name in trace.layer_names],
+        "layers": [[name, to_hex(colours[name])] for name in trace.layer_names],
     }
 
 
 def charts(trace: Table, scene: Scene | None) -> list[Record]:
-    """Force, torque, what goes (or contact area), the force at a device, the tip's depth, and one that is chosen."""
+    """Return the charts: force, torque, removal rate or contact area, force at a device, depth, and a chosen column."""
     small = bool(np.abs(trace.vectors("model_torque", "Nm")).max(initial=0.0) < SMALL_NM)
     torque = ("torque", "torque / mN·m", 1e3) if small else ("torque", "torque / N·m", 1.0)
     drawn = []
@@ -64,7 +64,7 @@ def charts(trace: Table, scene: Scene | None) -> list[Record]:
 
 
 def column_label(name: str) -> str:
-    """A column's words and unit: ``removed_mm3`` is ``removed / mm³``."""
+    """Return a column's words and unit: ``removed / mm³`` of ``removed_mm3``."""
     words, unit = _split(name)
     return f"{words.replace('_', ' ')}{f' / {unit}' if unit else ''}"
 
@@ -78,7 +78,7 @@ def _split(name: str) -> tuple[str, str]:
 
 
 def _device(trace: Table) -> Record:
-    """Sizes of the forces at the device."""
+    """Return the chart of the forces at the device."""
     there = [name for name in PLAYED if f"{name}_x_N" in trace]
     colours = dict(zip(PLAYED, (COMPONENTS[0], COMPONENTS[1]), strict=True))
     lines: list[Record] = [

@@ -18,7 +18,7 @@ STEPS = 255
 
 
 def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Record:
-    """Whole numbers of 8 bits (unsigned), 16 or 32 (signed), shape (rows,) or (rows, columns).
+    """Encode integers of 8 bits (unsigned), 16 or 32 (signed), shape (rows,) or (rows, columns).
 
     Differences between rows are wrapped around, those below 0 become odd numbers, so that small ones of either sign
     have high bytes of 0; all first bytes come before all second ones, column by column.
@@ -40,7 +40,7 @@ def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Rec
 
 
 def packed_vectors(values: ArrayLike) -> Record:
-    """Numbers of any unit in 65,532 steps over the widest column's range: ``low`` + ``step`` * (whole + 32767).
+    """Encode numbers in 65,532 steps over the widest column's range: ``low`` + ``step`` * (whole + 32767).
 
     A 0 stays exactly 0.
     """
@@ -54,17 +54,17 @@ def packed_vectors(values: ArrayLike) -> Record:
 
 
 def packed_column(values: ArrayLike) -> Record:
-    """One column of numbers as `packed_vectors`."""
+    """Encode one column of numbers as `packed_vectors` does."""
     return packed_vectors(np.asarray(values, dtype=np.float64)[:, None])
 
 
 def packed_shares(values: ArrayLike) -> Record:
-    """Shares from 0 to 1 of a colour scale, in steps of 1/255."""
+    """Encode shares from 0 to 1 of a colour scale in steps of 1/255."""
     return packed(np.rint(STEPS * np.clip(np.nan_to_num(np.asarray(values)), 0.0, 1.0)).astype(np.uint8))
 
 
 def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> tuple[Record, NDArray[np.intp]]:
-    """A surface, and the order in which its points are kept, those that no triangle has left out.
+    """Encode a surface, and return the order in which its points are kept. Unused points are left out.
 
     Points come in the order in which triangles first name them. A corner is how far below the next new point it lies,
     0 for the new one itself.

@@ -1,13 +1,15 @@
-"""The words of a report as HTML: figures, events, notes, materials, scene, versions."""
+"""The text of a report as HTML: figures, bands, events, notes, materials, scene, versions."""
 
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 from tissue.scene.used_constants import Used
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.run_summary import Summary
+from tissue.uncertainty.sentences import band_lines
 
-__all__ = ["events_table", "figures_of", "materials_table", "notes_table", "reproduce", "status_of"]
+__all__ = ["band_section", "events_table", "figures_of", "materials_table", "notes_table", "reproduce", "status_of"]
 
 Text = Callable[[str], str]
 """Function that makes HTML of a plain text: cleaned and escaped."""
@@ -15,7 +17,7 @@ CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
 
 
 def status_of(saved: SavedRun, text: Text) -> str:
-    """A sentence about what the run is, and one more where it did not come to its end."""
+    """Return the description of the run, and a sentence if it is incomplete."""
     scene = saved.scene
     described = f"<p>{text(scene.description)}</p>" if scene is not None and scene.description else ""
     if saved.complete:
@@ -26,7 +28,7 @@ def status_of(saved: SavedRun, text: Text) -> str:
 
 
 def figures_of(saved: SavedRun, text: Text) -> str:
-    """Cards with the figures of a run that came to its end."""
+    """Return cards with the figures of a complete run."""
     summary = saved.summary
     if not saved.complete:
         return ""
@@ -54,7 +56,7 @@ def figures_of(saved: SavedRun, text: Text) -> str:
 
 
 def events_table(summary: Summary, text: Text) -> str:
-    """Events with buttons that go to their moments."""
+    """Return the table of events, with buttons that go to their moments."""
     events = summary.get("events", [])
     if not events:
         return "<p>None.</p>"
@@ -70,7 +72,7 @@ def events_table(summary: Summary, text: Text) -> str:
 
 
 def notes_table(summary: Summary, text: Text) -> str:
-    """What the run notes of its anatomy, tool and model, with what is not modelled."""
+    """Return the table of the run's notes."""
     notes = summary.get("notes", {})
     if not notes:
         return "<p>None.</p>"
@@ -78,7 +80,7 @@ def notes_table(summary: Summary, text: Text) -> str:
 
 
 def materials_table(used: Sequence[Used], text: Text) -> str:
-    """Cited constants with value, range, source and confidence."""
+    """Return the table of cited constants with value, range, source and confidence."""
     if not used:
         return "<p>This scene rests on no cited constant: what it is made of is stated in the scene itself.</p>"
     low = sum(one.cited.confidence == "L" for one in used)
@@ -99,7 +101,7 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
 
 
 def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
-    """The scene as text, the commands that run it again, and versions."""
+    """Return the scene as text, the commands that run it again, and versions."""
     data = b64encode(scene_text.encode()).decode("ascii")
     keep = f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as scene.toml</a>'
     commands = 'pip install "tissue-sim"\ntissue run scene.toml --out again\ntissue report again'
@@ -123,7 +125,7 @@ def _torque(torque_Nm: float) -> str:
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()) -> str:
-    """A table of cells that are HTML already; its columns of numbers align to the right."""
+    """Return a table of cells that are HTML already. Columns of numbers align to the right."""
     look = [' class="number"' if column in numbers else "" for column in range(len(header))]
     head = "".join(f"<th{look[column]}>{name}</th>" for column, name in enumerate(header))
     body = "".join(
@@ -131,3 +133,47 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Seq
     )
     headed = f"<thead><tr>{head}</tr></thead>" if any(header) else ""
     return f'<div class="scroll"><table>{headed}<tbody>{body}</tbody></table></div>'
+
+
+ROWS = (
+    ("peak force", "force_N", "peak", "N"),
+    ("mean force in contact", "force_N", "mean_in_contact", "N"),
+    ("peak torque", "torque_Nm", "peak", "N m"),
+    ("mean torque in contact", "torque_Nm", "mean_in_contact", "N m"),
+)
+ENDS = ("p25", "p75"), ("p05", "p95")
+"""Ends of the bands of 50 and 90 %."""
+PICTURES = {"png": "image/png", "svg": "image/svg+xml"}
+"""Formats that a page shows, with their types."""
+
+
+def band_section(saved: SavedRun, text: Callable[[str], str]) -> str:
+    """Return heading, table and pictures of the band of a run, or nothing where the run has no band.
+
+    `text` makes HTML of a plain text.
+    """
+    band: dict[str, Any] | None = saved.summary.get("band")
+    if band is None or not saved.complete:
+        return ""
+    rows = []
+    for label, outer, inner, unit in ROWS:
+        at = band[outer][inner]
+        value = saved.summary[outer].get(inner, 0.0)
+        cells = [f"{value:.3g}", f"{at['p50']:.3g}", *(f"{at[low]:.3g} to {at[high]:.3g}" for low, high in ENDS)]
+        rows.append(f"<tr><td>{label} / {unit}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+    head = "".join(f"<th>{name}</th>" for name in ("figure", "this run", "median", "50 %", "90 %"))
+    sentence = f"{len(band['constants'])} constants in their ranges. The error of the model itself is not in it."
+    lines = "".join(f"<li>{text(line)}</li>" for line in band_lines(band))
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    return f"<h2>Bands</h2><p>{sentence}</p>{table}<ul>{lines}</ul>{_pictures(saved)}"
+
+
+def _pictures(saved: SavedRun) -> str:
+    found = []
+    for name, words in (("band", "loads over time with their bands"), ("band_sobol", "which constant matters")):
+        for ending, kind in PICTURES.items():
+            path = saved.path / "pictures" / f"{name}.{ending}"
+            if path.is_file():
+                data = b64encode(path.read_bytes()).decode()
+                found.append(f'<img src="data:{kind};base64,{data}" alt="{words}">')
+    return "".join(found)

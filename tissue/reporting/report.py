@@ -1,32 +1,43 @@
-"""A saved run as one HTML file that needs no network: written by `tissue report` and `tissue.report`."""
+"""A saved run as one HTML file that needs no network."""
 
 import json
+import re
+from base64 import b64encode
 from collections.abc import Callable
 from contextlib import nullcontext
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
+from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.reporting.bands import band_section
-from tissue.reporting.browser_viewer import empty_scene, viewer_scripts
 from tissue.reporting.charts import charts, columns
-from tissue.reporting.page import events_table, figures_of, materials_table, notes_table, reproduce, status_of
+from tissue.reporting.page import (
+    band_section,
+    events_table,
+    figures_of,
+    materials_table,
+    notes_table,
+    reproduce,
+    status_of,
+)
 from tissue.reporting.stage import stage
 from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.run_folder import SavedRun, added_to_run
 from tissue.system.html import html_page
 from tissue.system.outputs import require_new_file
-from tissue.viewer.run import require_whole
+from tissue.viewer.saved_surfaces import require_whole
 
-__all__ = ["NAME", "write_report"]
+__all__ = ["NAME", "empty_scene", "viewer_scripts", "write_report"]
 
 NAME = "report.html"
 """File in a run's folder."""
@@ -207,3 +218,97 @@ def _versions(saved: SavedRun) -> list[tuple[str, str]]:
         ("computed on", str(saved.summary.get("compute", "unknown"))),
         ("3D view", f"vtk.js of trame-vtk {viewer}"),
     ]
+
+
+STYLE_ELEMENT = "document.createElement('style')"
+"""Call by which the viewer adds styles for its own file dialogue, which the policy of a page does not allow."""
+ICONS = "https://kitware.github.io/vtk-js/icon/favicon-"
+"""Begin of the addresses of icons that the viewer would fetch."""
+
+
+def viewer_scripts() -> tuple[list[str], list[str]]:
+    """Return the classic and the module scripts of trame-vtk's static viewer, without the icons that it would fetch.
+
+    They offer ``OfflineLocalView``.
+
+    Raises
+    ------
+    InputError
+        If trame-vtk is missing, or its version ships no such viewer (2.11.0 does not).
+    """
+    found = find_spec("trame_vtk")
+    file = None if found is None or found.origin is None else Path(found.origin).parent / "tools" / "static_viewer.html"
+    text = file.read_text("utf-8") if file is not None and file.is_file() else ""
+    if "OfflineLocalView" not in text:
+        raise InputError("report must have the vtk.js viewer of trame-vtk, got none: pip install -U trame-vtk")
+    classic: list[str] = []
+    modules: list[str] = []
+    for attributes, script in re.findall(r"<script\b([^>]*)>(.*?)</script>", text, re.DOTALL):
+        kind = modules if "module" in attributes else classic
+        without_icons = script.replace(ICONS, "data:,")
+        kind.append(without_icons.replace(STYLE_ELEMENT, "document.createElement('template')"))
+    return classic, modules
+
+
+def empty_scene(parts: int) -> str:
+    """Return a scene of empty parts with colours and normals, as base64 of a zip.
+
+    The browser's script gives them their points: vtk.js makes objects only from such a scene.
+    """
+    actors = [_actor(index) for index in range(parts)]
+    camera = {"id": "camera", "type": "vtkCamera", "properties": {}}
+    renderer = {
+        "id": "renderer",
+        "type": "vtkRenderer",
+        "properties": {"background": [1.0, 1.0, 1.0]},
+        "dependencies": [camera, *actors],
+        "calls": [
+            ["setActiveCamera", ["instance:${camera}"]],
+            *(["addViewProp", [f"instance:${{{actor['id']}}}"]] for actor in actors),
+        ],
+    }
+    window = {
+        "id": "window",
+        "type": "vtkRenderWindow",
+        "mtime": 1,
+        "properties": {},
+        "dependencies": [renderer],
+        "calls": [["addRenderer", ["instance:${renderer}"]]],
+    }
+    content = {name: {"content": b64encode(bytes(12)).decode()} for name in ("Uint8Array", "Float32Array")}
+    kept = BytesIO()
+    with ZipFile(kept, "w", ZIP_DEFLATED) as archive:
+        archive.writestr("index.json", json.dumps({"scene": window, "hashes": content}))
+    return b64encode(kept.getvalue()).decode("ascii")
+
+
+def _actor(index: int) -> dict[str, object]:
+    arrays = (
+        ("pointData", "setScalars", "Uint8Array"),
+        ("cellData", "setScalars", "Uint8Array"),
+        ("pointData", "setNormals", "Float32Array"),
+    )
+    fields = [
+        {"name": f"{location} {setter}", "hash": kind, "vtkClass": "vtkDataArray", "dataType": kind,
+         "numberOfComponents": 3, "location": location, "registration": setter}
+        for location, setter, kind in arrays
+    ]  # fmt: skip
+    data = {"id": f"data{index}", "type": "vtkPolyData", "properties": {"fields": fields}}
+    mapper = {
+        "id": f"mapper{index}",
+        "type": "vtkMapper",
+        "properties": {},
+        "dependencies": [data],
+        "calls": [["setInputData", [f"instance:${{data{index}}}"]]],
+    }
+    property_ = {"id": f"property{index}", "type": "vtkProperty", "properties": {}}
+    return {
+        "id": f"actor{index}",
+        "type": "vtkActor",
+        "properties": {},
+        "dependencies": [mapper, property_],
+        "calls": [
+            ["setMapper", [f"instance:${{mapper{index}}}"]],
+            ["setProperty", [f"instance:${{property{index}}}"]],
+        ],
+    }

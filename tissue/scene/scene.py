@@ -262,7 +262,7 @@ class Scene(Part):
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        shown: str = loaded("tissue.api.scene_html:scene_html")(self)
+        shown: str = loaded("tissue.api.html:scene_html")(self)
         return shown
 
     def with_files_at(self, folder: Path) -> "Scene":

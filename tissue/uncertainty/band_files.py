@@ -10,7 +10,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
 from meshes.base.whole_file import whole_file
-from tissue.figures.band import draw_band, draw_sobol
+from tissue.figures.fit_pictures import draw_band, draw_sobol
 from tissue.simulation.run_folder import added_to_run, files_of_run
 from tissue.simulation.run_summary import read_summary
 from tissue.uncertainty.band import Band

@@ -4,16 +4,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissue.figures.style import BONE, layer_colours
-from tissue.viewer.carving import BoneOverTime
+from tissue.figures.figure import BONE, layer_colours
 from tissue.viewer.plotter import Plotter, add_colour_scale
+from tissue.viewer.saved_surfaces import BoneOverTime
 
 if TYPE_CHECKING:
     import pyvista
 
 __all__ = ["BoneShown", "layer_look"]
 
-DEPTH, DEPTH_TITLE = "removed_depth_mm", "removed depth / mm"
+DEPTH = "removed_depth_mm"
+DEPTH_TITLE = "removed depth / mm"
 SHADING = {
     "smooth_shading": False,
     "interpolation": "Phong",
@@ -26,7 +27,7 @@ SHADING = {
 
 
 def layer_look(names: tuple[str, ...]) -> dict[str, object]:
-    """How a plotter shows a surface by layer."""
+    """Return the options with which a plotter shows a surface by layer."""
     from matplotlib.colors import ListedColormap
 
     colours = ListedColormap(list(layer_colours(names).values()))
@@ -63,15 +64,19 @@ class BoneShown:
     """
 
     def __init__(self, plotter: Plotter, bone: BoneOverTime, *, legend: bool = True) -> None:
-        self._plotter, self._bone, self._legend = plotter, bone, legend
+        self._plotter = plotter
+        self._bone = bone
+        self._legend = legend
         names = bone.layer_names
-        self._names, self.colours = names, layer_colours(names)
+        self._names = names
+        self.colours = layer_colours(names)
         self._index = {names[i]: i for i in bone.layers}
         self.layers = list(self._index)
         self._hidden: frozenset[str] = frozenset()
         self._limit = max(bone.deepest_mm, 1e-3)
         self.is_cut = bone.deepest_mm > 0.0
-        self.by_depth, self._visible = self.is_cut, True
+        self.by_depth = self.is_cut
+        self._visible = True
         self.help = "c: removed depth or layer" if self.is_cut else ""
         if self.is_cut:
             plotter.add_key_event("c", self.change)

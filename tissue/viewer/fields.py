@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.figure import field_colours
 from tissue.figures.organ_surface import SHOWN as DRAWN
 from tissue.figures.organ_surface import at_nodes, drawn_surface
-from tissue.figures.style import field_colours
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
 from tissue.viewer.plotter import Plotter, add_colour_scale
+from tissue.viewer.saved_surfaces import Plane
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["REFERENCE", "FieldsShown", "Plane", "PointValues", "interpolated"]
+__all__ = ["REFERENCE", "FieldsShown", "PointValues", "interpolated"]
 
-Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Normal and a point [mm]; what lies on the normal's side is left out."""
 TETRAHEDRON = 10
 """VTK's number of the cell."""
 AMBIENT, DIFFUSE = 0.78, 0.25
@@ -30,7 +29,7 @@ REFERENCE, SHOWN = "reference_mm", "shown"
 
 @dataclass(frozen=True)
 class PointValues:
-    """What the fields are at a point of the material.
+    """Values of the fields at a point of the material.
 
     Attributes
     ----------
@@ -82,8 +81,11 @@ class FieldsShown:
         clip: Plane | None = None,
         fine: bool = False,
     ) -> None:
-        self._plotter, self._fields, self._fine = plotter, fields, fine
-        self.scale, self.clip = scale, clip
+        self._plotter = plotter
+        self._fields = fields
+        self._fine = fine
+        self.scale = scale
+        self.clip = clip
         self._time_s = 0.0
         self._hidden: frozenset[str] = frozenset()
         self.name: str | None = None
@@ -123,7 +125,7 @@ class FieldsShown:
         self._draw()
 
     def read(self, reference_mm: NDArray[np.float64]) -> PointValues | None:
-        """Values at a point of the material, by where it lay before loading [mm]; None where no cell is left."""
+        """Return the values at a point of the material, given before loading [mm], or None where no cell is left."""
         mesh, _ = self._fields.at(self._time_s)
         if not mesh.n_cells:
             return None
@@ -132,7 +134,8 @@ class FieldsShown:
         index, closest = found
         if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
             return None
-        cell, layers = int(index), self._fields.layer_names
+        cell = int(index)
+        layers = self._fields.layer_names
         values: dict[str, NDArray[np.float64]] = {}
         for name in self._fields.names:
             if name in mesh.cell_data:
@@ -162,10 +165,11 @@ class FieldsShown:
         self._plotter.remove_actor("field", reset_camera=False, render=False)
         if self._title in self._plotter.scalar_bars:
             self._plotter.remove_scalar_bar(self._title, render=False)
-        self.actor, self._last = None, None
+        self.actor = None
+        self._last = None
 
     def _part(self, mesh: "pyvista.DataSet") -> "pyvista.DataSet":
-        """What is left of a mesh without the hidden layers and in front of the clip plane, deformed."""
+        """Return the deformed mesh without hidden layers, cut at the clip plane."""
         import pyvista
 
         names = self._fields.layer_names
@@ -192,7 +196,8 @@ class FieldsShown:
         in_cells = name in part.cell_data
         smooth = self._fine and self.clip is None and set(np.unique(part.celltypes)) == {TETRAHEDRON}
         if smooth:
-            part, in_cells = drawn_surface(part, at_nodes(part, name)), False
+            part = drawn_surface(part, at_nodes(part, name))
+            in_cells = False
             part.rename_array(DRAWN, name)
         (part.cell_data if in_cells else part.point_data)[SHOWN] = np.asarray(field_values(part, name))
         low, high = self._fields.limits(name)
@@ -219,7 +224,7 @@ class FieldsShown:
 
 
 def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """A point array at a place in one of a mesh's cells, by the cell's own shape functions."""
+    """Interpolate a point array in one cell of a mesh by the cell's own shape functions."""
     from vtkmodules.vtkCommonCore import reference
 
     one = mesh.GetCell(cell)

@@ -1,20 +1,20 @@
-"""The moment in the window of `tissue view`: the tool, its force as an arrow and in words, the cursor in the chart."""
+"""One moment of a run in a view: tool, force arrow, and cursor in the force chart."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.figures.style import COMPONENTS
-from tissue.figures.tool_mesh import pose
+from tissue.figures.figure import COMPONENTS
+from tissue.figures.tool_mesh import pose, tool_turns
 from tissue.simulation.trace import Table
-from tissue.viewer.plotter import Plotter
-from tissue.viewer.tool import ToolShown
+from tissue.viewer.plotter import Plotter, add_text
+from tissue.viewer.saved_surfaces import tool_force
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["CHART_SHARE", "MomentShown"]
+__all__ = ["CHART_SHARE", "MomentShown", "ToolShown"]
 
 CHART_SHARE = 0.27
 """Height of the chart in the window."""
@@ -25,7 +25,7 @@ LONGEST = 0.3
 
 
 class MomentShown:
-    """What the trace holds of one moment.
+    """Tool, force and chart cursor of one moment of a trace.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ class MomentShown:
 
         self._trace = trace
         self._tips = trace.vectors("tool", "mm")
-        self._force = trace.vectors("model_force" if "model_force_x_N" in trace else "force", "N")
-        self._turns = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
+        self._force = tool_force(trace)
+        self._turns = tool_turns(trace)
         every = slice(None, None, max(len(trace.rows) // MOST_POINTS, 1))
         path = self._tips[every]
         if len(path) > 1 and np.ptp(path, axis=0).max() > 0.0:
@@ -66,17 +66,18 @@ class MomentShown:
         self._tool = ToolShown(plotter, tool, longest_mm=self._longest, opacity=0.35)
         self._charted = chart
         if chart:
-            self._text = plotter.add_text("", position=(0.012, 0.932), viewport=True, font_size=11, color="black")
+            self._text = add_text(plotter, "", (0.012, 0.932), size=11)
             self._chart, self._cursor = _chart(plotter, trace, every)
 
     @property
     def extent_mm(self) -> NDArray[np.float64]:
         """Both ends of the tool's path and of the longest arrow [mm], shape (4, 3)."""
-        tip, arrow = self._tips[self._peak], self._longest * self._force[self._peak] / max(self._greatest, 1e-9)
+        tip = self._tips[self._peak]
+        arrow = self._longest * self._force[self._peak] / max(self._greatest, 1e-9)
         return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
 
     def near_tip_mm(self, tool_mm: NDArray[np.float64], *, reach_mm: float) -> NDArray[np.float64]:
-        """Points of the tool [mm] within a reach of its tip, where the force was greatest, from those in its frame."""
+        """Return the points of the tool near its tip at the largest force [mm], from points in its own frame."""
         near = tool_mm[np.linalg.norm(tool_mm, axis=1) <= reach_mm]
         matrix = pose(self._tips[self._peak], self._turns[self._peak])
         return near @ matrix[:3, :3].T + matrix[:3, 3]
@@ -87,13 +88,14 @@ class MomentShown:
         return float(self._trace["time_s"][self._peak])
 
     def row(self, time_s: float) -> int:
-        """Row of the trace at a moment."""
+        """Return the row of the trace at a moment."""
         times = self._trace["time_s"]
         return int(np.clip(np.searchsorted(times, time_s - 1e-9), 0, len(times) - 1))
 
     def at(self, time_s: float) -> None:
         """Show the moment."""
-        trace, row = self._trace, self.row(time_s)
+        trace = self._trace
+        row = self.row(time_s)
         force = self._tool.show(self._tips[row], self._turns[row], self._force[row], greatest_N=self._greatest)
         if not self._charted:
             return
@@ -109,29 +111,104 @@ class MomentShown:
 def _chart(
     plotter: Plotter, trace: Table, every: slice
 ) -> "tuple[pyvista.Chart2D, pyvista.plotting.charts.LinePlot2D]":
-    """The force over time along the lower edge, with a cursor.
+    """Add the force over time along the lower edge, with a cursor.
 
     What is commanded is pale and the model's force lies upon it: teeth that vibrate would make a band that hides it.
     """
     import pyvista
 
     chart = pyvista.Chart2D(size=(0.98, CHART_SHARE), loc=(0.01, 0.0), x_label="time / s", y_label="force / N")
-    time, force = trace["time_s"][every], trace.vectors("force", "N")[every]
-    model = trace.vectors("model_force", "N")[every] if "model_force_x_N" in trace else force
-    low, high = 0.0, 1e-3
+    time = trace["time_s"][every]
+    force = trace.vectors("force", "N")[every]
+    model = tool_force(trace)[every]
+    low = 0.0
+    high = 1e-3
     for values, opacity, width in ((force, 0.3, 1.5), (model, 1.0, 2.0)):
         shown = {"magnitude": (np.linalg.norm(values, axis=1), "black")}
         shown |= {"xyz"[c]: (values[:, c], COMPONENTS[c]) for c in range(3)}
         for name, (curve, colour) in shown.items():
             label = name if values is model else ""
             chart.line(time, curve, color=pyvista.Color(colour, opacity=opacity), width=width, label=label)
-            low, high = min(low, float(curve.min())), max(high, float(curve.max()))
+            low = min(low, float(curve.min()))
+            high = max(high, float(curve.max()))
     chart.y_range = (low - 0.05 * (high - low), high + 0.05 * (high - low))
     chart.x_range = (float(time[0]), float(max(time[-1], time[0] + 1e-3)))
     cursor = chart.line([time[0], time[0]], list(chart.y_range), color=(0.4, 0.4, 0.4), width=1.5)
     chart.GetLegend().SetInline(False)  # beside the curves, for it hides what it lies upon
     for axis in (chart.x_axis, chart.y_axis):
-        axis.label_size, axis.tick_label_size = 24, 22
+        axis.label_size = 24
+        axis.tick_label_size = 22
     chart.GetLegend().SetLabelSize(22)
     plotter.add_chart(chart)
     return chart, cursor
+
+
+FORCE = "#0072B2"
+LEAST = 1e-3
+"""Share of the greatest force that is not drawn any more."""
+
+
+class ToolShown:
+    """A tool, and an arrow as long as its force is great.
+
+    Parameters
+    ----------
+    plotter
+        Where they are shown.
+    tool
+        Surface of the tool in its own frame [mm], or None.
+    longest_mm
+        Length of the arrow of the greatest force [mm].
+    opacity
+        Of the tool.
+    """
+
+    def __init__(self, plotter: Plotter, tool: "pyvista.PolyData | None", *, longest_mm: float, opacity: float) -> None:
+        import pyvista
+        from vtkmodules.vtkRenderingCore import vtkBillboardTextActor3D
+
+        self._longest = longest_mm
+        grey = {"color": "gray", "opacity": opacity, "specular": 0.4, "reset_camera": False}
+        self._tool = None if tool is None else plotter.add_mesh(tool, **grey)
+        self._arrow = plotter.add_mesh(pyvista.Arrow(), color=FORCE, reset_camera=False)
+        self._value = vtkBillboardTextActor3D()
+        look = self._value.GetTextProperty()
+        look.SetFontSize(22)
+        look.SetBold(True)
+        look.SetColor(*pyvista.Color(FORCE).float_rgb)
+        look.SetBackgroundColor(1.0, 1.0, 1.0)
+        look.SetBackgroundOpacity(0.6)
+        self._value.SetDisplayOffset(8, 4)
+        plotter.add_actor(self._value, reset_camera=False, render=False)
+
+    def show(
+        self,
+        tip_mm: NDArray[np.float64],
+        turn: NDArray[np.float64],
+        force_N: NDArray[np.float64],
+        *,
+        greatest_N: float,
+    ) -> str:
+        """Show the tool by its tip [mm] and turn (x, y, z, w), and its force [N] beside the greatest one, in words."""
+        import pyvista
+
+        if self._tool is not None:
+            self._tool.user_matrix = pose(tip_mm, turn)
+        size = float(np.linalg.norm(force_N))
+        shown = size > LEAST * max(greatest_N, 1e-9)
+        self._arrow.SetVisibility(shown)
+        self._value.SetVisibility(shown)
+        if shown:
+            length = self._longest * size / greatest_N
+            self._arrow.mapper.dataset = pyvista.Arrow(
+                start=tip_mm,
+                direction=force_N,
+                scale=length,
+                shaft_radius=0.02 * self._longest / length,
+                tip_radius=0.05 * self._longest / length,
+                tip_length=min(0.12 * self._longest / length, 0.6),
+            )
+            self._value.SetInput(f"{size:.3g} N")
+            self._value.SetPosition(*(tip_mm + length * force_N / size))
+        parts = ", ".join(f"{one:.2f}" for one in force_N.round(2) + 0.0)
+        return f"force {size:.2f} N ({parts})"

@@ -1,11 +1,23 @@
-"""What all parts of a window ask of PyVista's plotter, and keys and clicks beside those that VTK has of its own."""
+"""Basics of every 3D view: text, colour scale, keys, clicks and camera."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["Plotter", "add_colour_scale", "add_names", "free_keys", "on_click"]
+__all__ = [
+    "Plotter",
+    "add_colour_scale",
+    "add_names",
+    "add_slider",
+    "add_text",
+    "aim",
+    "free_keys",
+    "new_plotter",
+    "on_click",
+    "picked",
+]
 
 Plotter: TypeAlias = Any
 """A `pyvista.Plotter`: PyVista declares those of its methods that forward to a renderer without their arguments."""
@@ -17,10 +29,66 @@ ROTATE = 1
 """VTK's number of the state in which the left button turns the camera."""
 
 
+def new_plotter(size_px: tuple[int, int], *, title: str = "", off_screen: bool) -> Plotter:
+    """Return a plotter with a white background."""
+    import pyvista
+
+    plotter: Plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(size_px), title=title)
+    plotter.background_color = pyvista.Color("white")
+    return plotter
+
+
+def add_text(
+    plotter: Plotter, words: str, place: tuple[float, float], *, size: int = 9, colour: object = "black"
+) -> Any:
+    """Write a text, its lower left corner in shares of the window, and return its actor."""
+    return plotter.add_text(words, position=place, viewport=True, font_size=size, color=colour)
+
+
 def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:
     """Write names below each other at the right, each in its colour."""
     for row, (name, colour) in enumerate(colours.items()):
-        plotter.add_text(name, position=(0.87, 0.93 - 0.035 * row), viewport=True, font_size=11, color=colour)
+        add_text(plotter, name, (0.87, 0.93 - 0.035 * row), size=11, colour=colour)
+
+
+def add_slider(
+    plotter: Plotter,
+    call: Callable[[float], None],
+    span: tuple[float, float],
+    value: float,
+    *,
+    place: tuple[float, float, float],
+    fmt: str,
+) -> Any:
+    """Add a slider, its left and right end and its height in shares of the window."""
+    left, right, height = place
+    return plotter.add_slider_widget(
+        call,
+        span,
+        value=value,
+        fmt=fmt,
+        pointa=(left, height),
+        pointb=(right, height),
+        color="black",
+        title_height=0.024,
+        slider_width=0.012,
+        tube_width=0.003,
+        interaction_event="always",
+    )
+
+
+def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, NDArray[np.float64]] | None:
+    """Return the cell of an actor under a pixel, counted from the lower left, and the point there [mm], or None."""
+    from vtkmodules.vtkRenderingCore import vtkCellPicker
+
+    picker: Any = vtkCellPicker()
+    picker.SetTolerance(1e-4)
+    picker.InitializePickList()
+    picker.AddPickList(actor)
+    picker.PickFromListOn()
+    if not picker.Pick(float(x), float(y), 0.0, plotter.renderer) or picker.GetCellId() < 0:
+        return None
+    return picker.GetCellId(), np.array(picker.GetPickPosition())
 
 
 def add_colour_scale(plotter: Plotter, title: str, mapper: object, *, bottom: float, **options: object) -> None:
@@ -68,3 +136,42 @@ def free_keys(plotter: Plotter) -> None:
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
     style.AddObserver("CharEvent", lambda *_: style.OnChar() if interactor.GetKeyCode() in KEPT else None)
+
+
+EYE = (0.25, -0.75, 0.8)
+UP = (0.0, 0.35, 1.0)
+MARGINS = (0.2, 0.86, 0.36, 0.88)
+"""Left, right, lower and upper end of the area for the scene, in shares of the window."""
+
+
+def aim(
+    plotter: Plotter,
+    points_mm: NDArray[np.float64],
+    *,
+    margins: tuple[float, float, float, float] = MARGINS,
+    parallel: bool = False,
+) -> None:
+    """Look down from the front so that the points fill the area; without points so that all that there is does.
+
+    A parallel projection has one scale everywhere, which a scale bar needs.
+    """
+    plotter.camera.parallel_projection = parallel
+    plotter.camera.SetWindowCenter(0.0, 0.0)
+    plotter.camera_position = [EYE, (0.0, 0.0, 0.0), UP]
+    plotter.reset_camera()
+    left, right, low, high = margins
+    if not len(points_mm):
+        plotter.camera.SetWindowCenter(0.0, 1.0 - (low + high))
+        return
+    wide, tall = plotter.window_size
+    matrix = plotter.camera.GetCompositeProjectionTransformMatrix(wide / tall, -1.0, 1.0)
+    view = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
+    seen = np.column_stack([points_mm, np.ones(len(points_mm))]) @ view.T
+    seen = seen[:, :2] / seen[:, 3:]  # -1 to 1 across the window
+    first = seen.min(axis=0)
+    last = seen.max(axis=0)
+    share = 2.0 * np.array([right - left, high - low])
+    zoom = float((share / np.maximum(last - first, 1e-9)).min())
+    plotter.camera.zoom(zoom)
+    middle = np.array([left + right, low + high]) - 1.0
+    plotter.camera.SetWindowCenter(*(0.5 * zoom * (first + last) - middle))

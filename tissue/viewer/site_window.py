@@ -10,9 +10,9 @@ from meshes.base.errors import InputError
 from meshes.surfaces.glenoid_search import sample_surface
 from meshes.surfaces.plane_fit import normal_by_plane
 from meshes.surfaces.surface import Surface, read_surface
-from tissue.figures.style import BONE
+from tissue.figures.figure import BONE
 from tissue.scene.site_text import anatomy_of, save_site
-from tissue.viewer.plotter import Plotter, free_keys, on_click
+from tissue.viewer.plotter import add_text, free_keys, new_plotter, on_click, picked
 
 __all__ = ["SiteWindow", "is_imported", "show_site"]
 
@@ -31,7 +31,7 @@ HELP = "click: put the site there    Return: save it into scene.toml    q: close
 
 
 def is_imported(folder: Path) -> bool:
-    """Whether a folder holds an imported bone and no run."""
+    """Return whether a folder holds an imported bone and no run."""
     return (
         all((folder / name).is_file() for name in ("scene.toml", "bone.ply")) and not (folder / "summary.json").exists()
     )
@@ -69,30 +69,24 @@ class SiteWindow:
         if self.centre_mm is not None and self.normal is None:
             self.normal = normal_by_plane(self._samples, 1e-3 * self.centre_mm)
         self.text = ""
-        self.plotter = _plotter(f"tissue: {folder.absolute().name}", off_screen=off_screen)
+        self.plotter = new_plotter(SIZE, title=f"tissue: {folder.absolute().name}", off_screen=off_screen)
         bone = pyvista.PolyData.from_regular_faces(1e3 * self._surface.vertices_m, self._surface.faces.astype(int))
         look = {"smooth_shading": True, "split_sharp_edges": False, "ambient": 0.15, "specular": 0.1}
         self._bone = self.plotter.add_mesh(bone, color=BONE, name="bone", **look)
         self.plotter.add_axes(xlabel="left", ylabel="back", zlabel="head", color="black", line_width=3)
-        self._words = self.plotter.add_text("", position=(0.012, 0.9), viewport=True, font_size=11, color="black")
+        self._words = add_text(self.plotter, "", (0.012, 0.9), size=11)
         if not off_screen:
-            self.plotter.add_text(HELP, position=(0.012, 0.86), viewport=True, font_size=9, color="black")
+            add_text(self.plotter, HELP, (0.012, 0.86))
             self.plotter.add_key_event("Return", self.save)
         self._draw("site in scene.toml", SITE)
         self._aim()
 
     def click(self, x: int, y: int) -> bool:
         """Put the site where the bone is seen at a pixel, counted from the lower left; whether it is seen there."""
-        from vtkmodules.vtkRenderingCore import vtkCellPicker
-
-        picker = vtkCellPicker()
-        picker.SetTolerance(1e-4)
-        picker.InitializePickList()
-        picker.AddPickList(self._bone)
-        picker.PickFromListOn()
-        if not picker.Pick(float(x), float(y), 0.0, self.plotter.renderer) or picker.GetCellId() < 0:
+        found = picked(self.plotter, self._bone, x, y)
+        if found is None:
             return False
-        self.centre_mm = np.array(picker.GetPickPosition())
+        _, self.centre_mm = found
         self.normal = normal_by_plane(self._samples, 1e-3 * self.centre_mm)
         self._draw("picked, not saved yet: press Return", UNSAVED)
         return True
@@ -134,7 +128,8 @@ class SiteWindow:
 
     def _aim(self) -> None:
         """Look at the bone so that the site is seen, the head up."""
-        towards, middle = EYE, 1e3 * self._surface.vertices_m.mean(axis=0)
+        towards = EYE
+        middle = 1e3 * self._surface.vertices_m.mean(axis=0)
         if self.normal is not None:
             aside = np.cross(self.normal, [0.0, 0.0, 1.0])
             aside = aside if np.linalg.norm(aside) > 0.1 else np.array([1.0, 0.0, 0.0])
@@ -155,14 +150,6 @@ def show_site(folder: Path, *, screenshot: Path | None = None) -> str:
         window.open()
     window.plotter.close()
     return window.text.replace("\n", "; ")
-
-
-def _plotter(title: str, *, off_screen: bool) -> Plotter:
-    import pyvista
-
-    plotter: Plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(SIZE), title=title)
-    plotter.background_color = pyvista.Color("white")
-    return plotter
 
 
 def _bone(folder: Path, anatomy: dict[str, object]) -> Surface:

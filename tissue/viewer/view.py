@@ -2,13 +2,16 @@
 
 import json
 import math
+import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import IO
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
@@ -17,17 +20,18 @@ from tissue.builders.registry import motion_of
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.live.page import require_web
 from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.saved_fields import SavedFields, field_names
-from tissue.system.offscreen import LONGEST_S, display_problem, draw_apart
+from tissue.simulation.saved_fields import SavedFields
+from tissue.system.child import await_ready, child_command
+from tissue.system.offscreen import LONGEST_S, REMEDY, display_problem, draw_apart, drawing_environments
 from tissue.system.outputs import require_new_file
-from tissue.viewer.movie import check_movie, write_movie
-from tissue.viewer.run import require_whole
+from tissue.system.stopping import Terminated
+from tissue.viewer.export import check_movie, write_clean, write_movie
+from tissue.viewer.run_scene import Choice, times_of
+from tissue.viewer.saved_surfaces import require_whole, saved_fields
 from tissue.viewer.site_window import is_imported, show_site
-from tissue.viewer.still import write_clean
-from tissue.viewer.web.view import serve_view
-from tissue.viewer.window import Choice, Window, times_of
+from tissue.viewer.window import Window
 
-__all__ = ["show", "view"]
+__all__ = ["serve_view", "show", "view"]
 
 LONGEST_MOVIE_S = 3600.0
 """How long a movie may take to draw [s]."""
@@ -99,7 +103,7 @@ def view(
     about = _about(saved)
     require_whole(saved)
     choice = Choice(hide=hide, field=field, scale=scale, time_s=time_s, clean=clean)
-    series = SavedFields(saved.path) if field_names(saved.path) else None
+    series = saved_fields(saved)
     _check(saved, choice, series)
     if movie is not None and len(times_of(saved, series)) < 2:
         raise InputError(f"movie must be of a run that lasts, got {saved.path}: use --screenshot")
@@ -156,7 +160,8 @@ def _view_site(folder: Path, screenshot: Path | None) -> str:
 def _draw(saved: SavedRun, choice: Choice, kind: str, file: Path, report: Progress) -> None:
     """Draw a file in a process of its own; it is there whole, or as it was before."""
     longest_s = LONGEST_MOVIE_S if kind == "movie" else LONGEST_S
-    chosen, doing = json.dumps(asdict(choice)), f"drawing the {kind}"
+    chosen = json.dumps(asdict(choice))
+    doing = f"drawing the {kind}"
     report(doing, 0.0)
     with whole_file(file) as temporary, TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True) as folder:
         temporary.touch()
@@ -195,7 +200,8 @@ def _check_files(screenshot: Path | None, movie: Path | None, time_s: float | No
 
 def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     """Refuse what the run does not have."""
-    times, fields = times_of(saved, series), [] if series is None else series.names
+    times = times_of(saved, series)
+    fields = [] if series is None else series.names
     if saved.complete and not len(times) and not (saved.path / "bone.vti").is_file():
         raise InputError(
             f"run must hold a trace, bone or frames to be shown, got none of them in {saved.path}: run the scene again"
@@ -214,7 +220,8 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     if choice.time_s is not None:
         if not len(times):
             raise InputError(f"time_s must lie in the run, got {choice.time_s:g} for a run without ticks: leave it out")
-        first, last = float(times[0]), float(times[-1])
+        first = float(times[0])
+        last = float(times[-1])
         if not first - 1e-9 <= choice.time_s <= last + 1e-9:
             nearest = last if choice.time_s > last else first
             raise InputError(
@@ -223,9 +230,10 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
 
 
 def _about(saved: SavedRun) -> str:
-    """What there is to see."""
+    """Return a sentence about the run: its largest loads, or where it was stopped."""
     if saved.complete:
-        force, torque = saved.summary["force_N"]["peak"], saved.summary["torque_Nm"]["peak"]
+        force = saved.summary["force_N"]["peak"]
+        torque = saved.summary["torque_Nm"]["peak"]
         seconds = saved.summary["simulated_s"]
         return f"{saved.summary['scene']}: {seconds:g} s, force up to {force:.3g} N, torque up to {torque:.3g} N·m"
     begun = {"running": "goes on", "failed": "failed"}.get(saved.status, "was interrupted")
@@ -274,6 +282,65 @@ def show(
     if screenshot is None and movie is None:
         window.open()
     window.plotter.close()
+
+
+PAGE = "tissue.viewer.web.view_page"
+OPENS_S, CLOSES_S = 120.0, 10.0
+"""How long a page may take until it is served, and to close [s]."""
+
+
+def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) -> None:
+    """Serve the page of a run until it was closed for some seconds, or Ctrl-C.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    choice
+        What is shown at first.
+    opened
+        Called with the address, which holds a random token.
+
+    Raises
+    ------
+    InputError
+        If nothing can be drawn or served here.
+    """
+    why = "this machine has no OpenGL library"
+    for environment in drawing_environments():
+        with TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
+            child = _start(folder, choice, environment, output)
+            try:
+                address, problem = await_ready(child, longest_s=OPENS_S, closes_s=CLOSES_S)
+                if problem is None:
+                    opened(address)
+                    child.wait()
+                    return
+                why = problem or _last_line(output) or f"its process ended with exit code {child.returncode}"
+            except Terminated:
+                raise
+            except KeyboardInterrupt:
+                return
+            finally:
+                child.kill()
+                child.communicate()
+    raise InputError(f"--web must serve a page, but {why[:200]}: {REMEDY}")
+
+
+def _start(folder: Path, choice: Choice, environment: dict[str, str], output: IO[str]) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        child_command(PAGE, str(folder), json.dumps(asdict(choice))),
+        env=os.environ | environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=output,
+        text=True,
+    )
+
+
+def _last_line(output: IO[str]) -> str:
+    output.seek(0)
+    return (output.read().strip().splitlines() or [""])[-1]
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from matplotlib import pyplot
 
 import tissue
 from tissue import InputError
-from tissue.api.overlay import overlay
+from tissue.api.plots import overlay
 from tissue.simulation.trace import Table, TraceLayout
 
 

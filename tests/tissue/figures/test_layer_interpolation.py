@@ -5,7 +5,7 @@ import pytest
 from tooth_bodies import block
 
 from tissue.fem.fields import FieldSeries
-from tissue.figures.layer_interpolation import interpolate_in_layers
+from tissue.figures.organ_surface import interpolate_in_layers
 from tissue.models.tooth.field import VTK_ORDER
 
 EDGE = 0.5e-3

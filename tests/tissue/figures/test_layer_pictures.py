@@ -6,9 +6,9 @@ from fake_fields import block_series, with_measures
 
 from tissue import load_scene, simulate
 from tissue.fem.fields import Frame
-from tissue.figures.events import event_lines
 from tissue.figures.force_depth import first_descent, layers_passed
-from tissue.figures.report import draw_pictures
+from tissue.figures.force_time import event_lines
+from tissue.figures.pictures import draw_pictures
 from tissue.figures.section import loaded_frame, moment_of, section_of
 
 pytest.importorskip("pyvista")
@@ -104,7 +104,7 @@ def test_events_are_numbered_and_not_too_many():
 def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fields):
     from PIL import Image
 
-    monkeypatch.setattr("tissue.figures.before_after.draw_before_after", lambda *_: None)
+    monkeypatch.setattr("tissue.figures.bone_pictures.draw_before_after", lambda *_: None)
     assert draw_pictures(with_measures(run, fields=fields), tmp_path) == []
     for name in ("section.png", "force_depth.png", "force_torque.png"):
         with Image.open(tmp_path / name) as picture:
@@ -115,7 +115,7 @@ def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fi
 
 
 def test_a_tool_that_never_touches_has_no_force_over_depth(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.figures.before_after.draw_before_after", lambda *_: None)
+    monkeypatch.setattr("tissue.figures.bone_pictures.draw_before_after", lambda *_: None)
     still = with_measures(run, fields=False)
     still.trace.rows[:, still.trace.columns.index("contact_mm2")] = 0.0
     assert draw_pictures(still, tmp_path) == ["force_depth.png was not drawn: the tool did not go down into the tissue"]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from fake_fields import pressed_series
 
+from tissue.figures.organ_pictures import moment_of_press
 from tissue.figures.organ_surface import SHOWN, drawn_surface, inclusions, section_cap
-from tissue.figures.press import moment_of_press
 from tissue.simulation.series import frame_mesh
 
 pyvista = pytest.importorskip("pyvista")

@@ -6,7 +6,7 @@ import trimesh
 
 from meshes.paths.toolpath import Toolpath, depth_along
 from meshes.surfaces.surface import surface_from_triangles
-from tissue.figures.path_depth import draw_path_depth
+from tissue.figures.ct_pictures import draw_path_depth
 
 
 @pytest.mark.slow

@@ -8,12 +8,9 @@ import pytest
 
 import tissue
 from meshes.base.errors import InputError
-from tissue.figures.before_after import _View
-from tissue.figures.events import joined_events, spells
+from tissue.figures.bone_pictures import _View, shown_mm
 from tissue.figures.figure import figure, save
-from tissue.figures.force_torque import draw_force_torque
-from tissue.figures.played import _compressed
-from tissue.figures.removed_depth import shown_mm
+from tissue.figures.force_time import _compressed, draw_force_torque, joined_events, spells
 from tissue.simulation.depth_map import depth_map
 from tissue.simulation.picture_format import picture_format
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.figures.played import draw_played
+from tissue.figures.force_time import draw_played
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from meshes.voxels.volume import VoxelVolume
 from tissue import load_scene, simulate
-from tissue.figures.report import draw_pictures
+from tissue.figures.pictures import draw_pictures
 from tissue.simulation.bone_files import write_bone
 from tissue.simulation.bone_surface import bone_surface, cut_out, smooth_normals
 from tissue.simulation.depth_map import depth_map, tool_axes

@@ -9,8 +9,7 @@ import trimesh
 
 import tissue
 from meshes.base.errors import InputError
-from tissue.figures.kept_clear import nearest_places
-from tissue.figures.section import draw_section
+from tissue.figures.section import draw_section, nearest_places
 
 RADIUS_MM, DEPTH_MM, ASIDE_MM = 3.0, 6.0, 0.5
 """Of a canal along x under the block's face, and how far aside of its axis the burr goes."""

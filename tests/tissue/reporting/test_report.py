@@ -14,8 +14,8 @@ import tissue
 from meshes.base.errors import InputError
 from tissue.api.report import report
 from tissue.materials.constants import constants
-from tissue.reporting.browser_viewer import viewer_scripts
 from tissue.reporting.charts import column_label
+from tissue.reporting.report import viewer_scripts
 from tissue.scene.load import load_scene
 from tissue.scene.used_constants import used_constants
 
@@ -180,7 +180,7 @@ def test_the_command_names_file_and_size(command, run_folder, tmp_path):
 
 
 def test_a_missing_viewer_is_one_sentence(monkeypatch):
-    monkeypatch.setattr("tissue.reporting.browser_viewer.find_spec", lambda name: None)
+    monkeypatch.setattr("tissue.reporting.report.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"report must have the vtk\.js viewer of trame-vtk, got none: pip install"):
         viewer_scripts()
 

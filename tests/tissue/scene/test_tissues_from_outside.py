@@ -29,7 +29,7 @@ from tissue.scene.registry import (
 )
 from tissue.simulation.run_folder import SavedRun
 from tissue.system.offscreen import draw_apart
-from tissue.viewer.run import faces_of
+from tissue.viewer.saved_surfaces import faces_of
 
 
 def test_a_cutter_from_outside_cuts(added):

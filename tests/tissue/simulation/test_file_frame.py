@@ -18,7 +18,7 @@ from meshes.voxels.voxelise import voxelise
 from tissue import load_scene, simulate
 from tissue.builders.voxels import require_whole
 from tissue.simulation.run_folder import saved_placement
-from tissue.viewer.carving import read_voxels
+from tissue.viewer.saved_surfaces import read_voxels
 
 pyvista = pytest.importorskip("pyvista")
 

@@ -13,7 +13,7 @@ from tissue.api.run import open_run
 from tissue.api.simulate import simulate
 from tissue.materials.constants import constants
 from tissue.materials.prior import Prior
-from tissue.reporting.bands import band_section
+from tissue.reporting.page import band_section
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.simulation.load_record import record_loads

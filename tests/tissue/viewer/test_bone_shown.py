@@ -11,8 +11,8 @@ from tissue import InputError, load_scene, simulate
 from tissue.motion.pose_file import write_poses
 from tissue.simulation.run_folder import SavedRun
 from tissue.viewer.bone import BoneShown
-from tissue.viewer.carving import bone_of, read_voxels
-from tissue.viewer.layers import LayerKeys
+from tissue.viewer.controls import LayerKeys
+from tissue.viewer.saved_surfaces import bone_of, read_voxels
 
 
 def carved_bone(folder):
@@ -92,7 +92,7 @@ def test_keys_switch_layers_and_colours(layered):
     plotter = RecordingPlotter()
     bone = BoneShown(plotter, carved_bone(layered))
     cells = lambda: sum(mesh.n_cells for mesh, _, _ in plotter.meshes.values())  # noqa: E731
-    keys = LayerKeys(plotter, bone.layers, targets=[bone.hide])
+    keys = LayerKeys(plotter, bone.layers, hide=bone.hide)
     assert bone.help == "c: removed depth or layer"
     assert keys.help == "  ".join(f"{n}: {name}" for n, name in enumerate(bone.layers, 1)) + " on or off"
     assert list(plotter.scalar_bars) == ["removed depth / mm"] and not plotter.legend

@@ -7,7 +7,7 @@ import pytest
 
 from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.window import LOADS
-from tissue.viewer.live.readings import Readings
+from tissue.viewer.live.live_scene import Readings
 from tissue.viewer.live.target import KEY_MM, NOTCH_MM
 from tissue.viewer.web import live_page
 from tissue.viewer.web.live_page import LivePage
@@ -19,8 +19,9 @@ LAYOUT = {
     "loads": ("float64", (LOADS, 4)),
 }  # fmt: skip
 READ = Readings(
-    time_s=1.5, tip_mm=np.zeros(3), turn=np.array([0.0, 0.0, 0.0, 1.0]), force_N=np.array([0.0, 0.3, 0.4]),
-    torque_Nm=np.array([0.0, 3e-3, 4e-3]), device_N=0.1, removed_mm3=2.0, tick_us=300.0, late_us=5.0, missed=2.0, skipped_ms=0.0,
+    tip_mm=np.zeros(3), turn=np.array([0.0, 0.0, 0.0, 1.0]), force_N=np.array([0.0, 0.3, 0.4]),
+    torque_Nm=np.array([0.0, 3e-3, 4e-3]), device_N=0.1,
+    numbers={"time_s": 1.5, "removed_mm3": 2.0, "tick_us": 300.0, "late_us": 5.0, "missed": 2.0, "skipped_ms": 0.0},
 )  # fmt: skip
 
 
@@ -57,6 +58,9 @@ class Stage:
 
     def __init__(self, plotter, aim):
         self.changed = True
+
+    def take(self, do, values):
+        return False
 
     def picture(self):
         changed, self.changed = self.changed, False

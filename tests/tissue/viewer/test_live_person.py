@@ -1,7 +1,6 @@
 """A person at a live run on a virtual display, whose mouse, wheel and keys move the tool."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -106,19 +105,3 @@ def test_a_person_presses_the_wall_with_mouse_wheel_and_keys(started, display):
     assert saved.summary["force_N"]["peak"] > 0.5 and "skipped_ms" in saved.summary
     assert "delay of ticks, median / 99 % / max" in message
     assert not any("by itself" in event["what"] for event in saved.summary["events"])
-
-
-@pytest.mark.slow
-def test_a_person_mills_bone_and_ctrl_c_ends_it(started, display):
-    process, out = started("milling", "--set", "voxels.spacing_mm=0.3")
-    person = Person(display)
-    person.move(550, 420)
-    milled = until(out, process, lambda row: row["removed_mm3"] > 0.1, lambda: person.type("Next", 5))
-    person.leave()
-    assert milled is not None
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=100.0)
-    assert process.returncode == 0
-    saved = SavedRun(out)
-    assert saved.complete and saved.summary["removed_mm3"]["cortical"] > 0.1
-    assert (out / "bone.vtp").is_file()

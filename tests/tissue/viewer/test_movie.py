@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from tissue import InputError
-from tissue.viewer.movie import FRAMES_PER_S, check_movie, movie_times_s, write_movie
+from tissue.viewer.export import FRAMES_PER_S, check_movie, movie_times_s, write_movie
 
 
 def pictures(count, size=(64, 96)):
@@ -46,30 +46,9 @@ def test_an_mp4_holds_every_picture(tmp_path):
     assert read == pytest.approx([20.0 * index + 20.0 for index in range(8)], abs=4.0)
 
 
-def test_a_movie_that_breaks_off_leaves_the_older_one(tmp_path):
-    path = tmp_path / "run.gif"
-    path.write_bytes(b"an older movie")
-
-    def broken():
-        yield from pictures(2)
-        raise RuntimeError("the window is gone")
-
-    with pytest.raises(RuntimeError, match="the window is gone"):
-        write_movie(path, broken())
-    assert path.read_bytes() == b"an older movie"
-    assert [file.name for file in tmp_path.iterdir()] == ["run.gif"]
-
-
 def test_a_movie_needs_an_ending(tmp_path):
     with pytest.raises(InputError, match=r"movie must be a .mp4 or .gif file, got .*run.avi: use .*run.gif$"):
         check_movie(tmp_path / "run.avi")
-
-
-def test_without_ffmpeg_the_remedy_is_a_gif(tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.viewer.movie.find_spec", lambda name: None if name == "imageio_ffmpeg" else object())
-    with pytest.raises(InputError, match=r"not installed, got .*use .*run.gif or pip install imageio imageio-ffmpeg$"):
-        check_movie(tmp_path / "run.mp4")
-    check_movie(tmp_path / "run.gif")
 
 
 @pytest.mark.parametrize("encoder", ["/nowhere/ffmpeg", "false"])

@@ -2,8 +2,6 @@
 
 import asyncio
 import json
-import random
-import string
 from contextlib import asynccontextmanager
 
 import pytest
@@ -13,9 +11,8 @@ import aiohttp
 import psutil
 
 from tissue.viewer.web import server as served
-from tissue.viewer.web.gate import HOST, new_token, refusal
 from tissue.viewer.web.messages import LARGEST, MessageError, Pace, parse
-from tissue.viewer.web.server import PageServer, page_text
+from tissue.viewer.web.server import HOST, PageServer, page_text, refusal
 
 HOME = {
     "host": "127.0.0.1:80",
@@ -66,6 +63,15 @@ async def serving(session):
     await asyncio.wait_for(task, 60.0)
 
 
+@asynccontextmanager
+async def connected(session):
+    """An open socket of a page that shows a session."""
+    async with serving(session) as (address, client):
+        home, _, ws = parts(address)
+        async with client.ws_connect(ws, headers={"Origin": home}) as page_socket:
+            yield page_socket
+
+
 def parts(address):
     """An address without its token, its origin, and its socket."""
     home, token = address.split("/?token=")
@@ -83,27 +89,24 @@ async def until(holds):
     [
         ({}, None),
         ({"socket": False, "origin": None}, None),
-        ({"host": "localhost:80"}, "the address must be the one that tissue printed"),
-        ({"host": "evil.example:80"}, "the address must be the one that tissue printed"),
-        ({"host": "127.0.0.1:81"}, "the address must be the one that tissue printed"),
-        ({"host": ""}, "the address must be the one that tissue printed"),
-        ({"origin": "http://evil.example"}, "the page must be the one that tissue serves"),
-        ({"origin": "null"}, "the page must be the one that tissue serves"),
-        ({"origin": "https://127.0.0.1:80"}, "the page must be the one that tissue serves"),
-        ({"origin": None}, "the page must be the one that tissue serves"),
-        ({"socket": False, "origin": "http://127.0.0.1:8000"}, "the page must be the one that tissue serves"),
-        ({"given": ""}, "the address must hold the token that tissue printed"),
-        ({"given": "abcd"}, "the address must hold the token that tissue printed"),
-        ({"given": "äbc"}, "the address must hold the token that tissue printed"),
+        ({"host": "localhost:80"}, "address"),
+        ({"host": "evil.example:80"}, "address"),
+        ({"host": "127.0.0.1:81"}, "address"),
+        ({"host": ""}, "address"),
+        ({"origin": "http://evil.example"}, "page"),
+        ({"origin": "null"}, "page"),
+        ({"origin": "https://127.0.0.1:80"}, "page"),
+        ({"origin": None}, "page"),
+        ({"socket": False, "origin": "http://127.0.0.1:8000"}, "page"),
+        ({"given": ""}, "token"),
+        ({"given": "abcd"}, "token"),
+        ({"given": "äbc"}, "token"),
     ],
-)  # fmt: skip
+)
 def test_only_this_page_with_its_token_is_answered(change, why):
-    assert refusal(**HOME | change) == why
-
-
-def test_tokens_are_long_and_never_the_same():
-    tokens = {new_token() for _ in range(100)}
-    assert len(tokens) == 100 and min(map(len, tokens)) == 32
+    found = refusal(**HOME | change)
+    assert (found is None) == (why is None)
+    assert why is None or why in found
 
 
 def test_requests_without_the_token_or_by_another_name_get_403():
@@ -179,17 +182,16 @@ def test_every_element_that_the_script_asks_for_is_there(kind):
 def test_figures_and_pictures_arrive_and_the_next_picture_waits_until_the_last_was_seen():
     async def ask():
         session, seen = Counted(), []
-        async with serving(session) as (address, client):
-            home, _, ws = parts(address)
-            async with client.ws_connect(ws, headers={"Origin": home}) as page_socket:
-                first = await page_socket.receive_json()
-                while len(seen) < 8:
-                    seen.append((await page_socket.receive()).data)
-                await page_socket.send_json({"do": "seen"})
-                while seen.count(b"picture") < 2:
-                    seen.append((await page_socket.receive()).data)
-                await page_socket.send_json({"do": "move", "right": 0.1, "up": -0.2})
-                await until(lambda: session.taken)
+        async with connected(session) as page_socket:
+            first = await page_socket.receive_json()
+            while len(seen) < 8:
+                seen.append((await page_socket.receive()).data)
+            await page_socket.send_json({"do": "seen"})
+            while seen.count(b"picture") < 2:
+                seen.append((await page_socket.receive()).data)
+            await page_socket.send_json({"do": "move", "right": 0.1, "up": -0.2})
+            await until(lambda: session.taken)
+            await page_socket.close()
             await until(lambda: len(session.attended) == 2)
         return first, seen, session
 
@@ -201,22 +203,22 @@ def test_figures_and_pictures_arrive_and_the_next_picture_waits_until_the_last_w
     assert session.taken == [("move", {"right": 0.1, "up": -0.2})] and session.attended == [True, False]
 
 
-def test_a_message_that_no_page_sends_closes_the_socket_and_does_nothing():
-    async def ask(sent):
+@pytest.mark.parametrize(("sent", "code"), [(b"x", 1008), ("x" * (LARGEST + 1), 1009)])
+def test_bytes_and_long_messages_close_the_socket_and_do_nothing(sent, code):
+    async def ask():
         session = Counted()
-        async with serving(session) as (address, client):
-            home, _, ws = parts(address)
-            async with client.ws_connect(ws, headers={"Origin": home}) as page_socket:
-                await (page_socket.send_bytes if isinstance(sent, bytes) else page_socket.send_str)(sent)
-                async for _ in page_socket:
-                    pass
-                return page_socket.close_code, session.taken
+        async with connected(session) as page_socket:
+            await (page_socket.send_bytes if isinstance(sent, bytes) else page_socket.send_str)(sent)
+            async for _ in page_socket:
+                pass
+            return page_socket.close_code, session.taken
 
-    for sent, code in (("{", 1008), (b"x", 1008), ('{"do": "wipe"}', 1008), ("x" * (LARGEST + 1), 1009)):
-        assert asyncio.run(ask(sent)) == (code, [])
+    assert asyncio.run(ask()) == (code, [])
 
 
 HOSTILE = {
+    "no JSON": "{",
+    "an unknown one": '{"do": "wipe"}',
     "a number of 400 digits": '{"do": "zoom", "by": 1' + 400 * "0" + "}",
     "a negative one": '{"do": "turn", "right": -1' + 400 * "0" + ', "up": 0}',
     "an exponent": '{"do": "time", "time_s": 1e400}',
@@ -377,20 +379,3 @@ def test_messages_are_read(text, found):
 def test_other_messages_are_refused(text):
     with pytest.raises(MessageError):
         parse(text)
-
-
-def test_text_at_random_is_refused_or_read_and_nothing_else():
-    draw = random.Random(7)
-    whole = ['{"do": "move", "right": 0.1, "up": 1}', '{"do": "key", "name": "s"}', '{"do": "zoom", "by": 2}']
-    read = 0
-    for _ in range(3000):
-        text = list(draw.choice(whole))
-        for _ in range(draw.randint(0, 4)):
-            text[draw.randrange(len(text))] = draw.choice(string.printable)
-        try:
-            do, values = parse("".join(text))
-        except MessageError:
-            continue
-        read += 1
-        assert do in ("move", "key", "zoom") and all(isinstance(each, (int, float, str)) for each in values.values())
-    assert read > 300

@@ -7,9 +7,8 @@ import pytest
 
 from tissue import InputError
 from tissue.system.stopping import Terminated
-from tissue.viewer.view import view
-from tissue.viewer.web.view import serve_view
-from tissue.viewer.window import Choice
+from tissue.viewer.run_scene import Choice
+from tissue.viewer.view import serve_view, view
 
 SERVED = "print('ready http://127.0.0.1:1/?token=x', flush=True); "
 
@@ -26,8 +25,8 @@ def child(monkeypatch):
             started.append((process, environment))
             return process
 
-        monkeypatch.setattr("tissue.viewer.web.view._start", start)
-        monkeypatch.setattr("tissue.viewer.web.view.drawing_environments", lambda: iter(environments))
+        monkeypatch.setattr("tissue.viewer.view._start", start)
+        monkeypatch.setattr("tissue.viewer.view.drawing_environments", lambda: iter(environments))
         return started
 
     return run

@@ -6,7 +6,7 @@ from fake_fields import pressed_run
 
 from tissue import InputError
 from tissue.simulation.run_folder import SavedRun
-from tissue.viewer.carving import bone_of
+from tissue.viewer.saved_surfaces import bone_of
 from tissue.viewer.view import view
 
 

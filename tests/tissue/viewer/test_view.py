@@ -147,11 +147,6 @@ def test_without_a_display_the_remedy_is_a_screenshot(whole, monkeypatch):
         view(whole)
 
 
-def test_a_folder_without_a_run_is_refused(tmp_path):
-    with pytest.raises(InputError, match="run must be a folder that `tissue run` wrote"):
-        view(tmp_path, screenshot=tmp_path / "view.png")
-
-
 @pytest.mark.parametrize(
     ("name", "message"), [("view.jpeg", "must be a .png file"), ("none/view.png", "must lie in a folder that exists")]
 )

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake_fields import PARTS, pressed_run, pressed_series
+from fake_fields import pressed_run, pressed_series
 
 from tissue import InputError, load_scene
-from tissue.figures.press import draw_press
-from tissue.figures.style import field_colours
+from tissue.figures.figure import field_colours
+from tissue.figures.organ_pictures import draw_press
 from tissue.figures.tool_mesh import tool_surface
 from tissue.scene.tool import Needle, Probe
 from tissue.simulation.run_folder import SavedRun
-from tissue.viewer.run import faces_of
+from tissue.viewer.saved_surfaces import faces_of
 from tissue.viewer.view import view
 
 pytestmark = pytest.mark.slow
@@ -207,37 +207,24 @@ def test_a_shell_probe_keeps_the_origin_of_its_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "refused"),
     [
-        ({"field": "heat"}, "got heat: use one of von_mises_kPa, principal_1_kPa, .*, displacement_mm, reaction_N$"),
-        ({"hide": ("gum",)}, f"got gum: use one of {', '.join(PARTS)}$"),
-        ({"time_s": 9.0}, "time_s must lie in the run, 0 to 1 s, got 9: use 1$"),
-        ({"time_s": -1.0}, "time_s must lie in the run, 0 to 1 s, got -1: use 0$"),
-        ({"time_s": float("nan")}, "time_s must lie in the run, 0 to 1 s, got nan"),
-        ({"scale": -2.0}, "scale must be a number of at least 0, got -2: use 1 for true size$"),
-        ({"scale": float("nan")}, "scale must be a number of at least 0, got nan"),
-        ({"movie": Path("press.webm")}, "movie must be a .mp4 or .gif file, got press.webm: use press.gif$"),
+        ({"field": "heat"}, "field .*got heat"),
+        ({"hide": ("gum",)}, "hide .*got gum"),
+        ({"time_s": 9.0}, "time_s .*got 9: use 1$"),
+        ({"time_s": -1.0}, "time_s .*got -1: use 0$"),
+        ({"time_s": float("nan")}, "time_s .*got nan"),
+        ({"scale": -2.0}, "scale .*got -2"),
+        ({"scale": float("nan")}, "scale .*got nan"),
+        ({"movie": Path("press.webm")}, "movie .*got press.webm"),
         ({"movie": Path("press.gif"), "time_s": 0.5}, "time_s must be left out with movie"),
     ],
 )
-def test_what_a_run_does_not_have_is_refused(pressed, tmp_path, monkeypatch, options, message):
+def test_what_a_run_does_not_have_is_refused(pressed, tmp_path, monkeypatch, options, refused):
     monkeypatch.setattr("tissue.viewer.view.require_whole", lambda saved: None)  # it starts a process each time
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=refused):
         view(pressed, screenshot=tmp_path / "view.png", **options)
     assert not (tmp_path / "view.png").exists()
-
-
-def test_a_folder_without_frames_is_refused(tmp_path):
-    folder = pressed_run(tmp_path / "bare", frames=0)
-    for options, message in (
-        ({"field": "von_mises_kPa"}, "got von_mises_kPa: this run has none, leave it out"),
-        ({"scale": 2.0}, "scale must be left out for a run without displacement, got 2: leave it out"),
-    ):
-        with pytest.raises(InputError, match=message):
-            view(folder, screenshot=tmp_path / "view.png", **options)
-    (folder / "trace.csv").unlink()
-    with pytest.raises(InputError, match="run must hold a trace, bone or frames to be shown, got none of them in"):
-        view(folder, screenshot=tmp_path / "view.png")
 
 
 def test_a_needle_goes_through_the_faces_of_its_scene():
@@ -245,10 +232,3 @@ def test_a_needle_goes_through_the_faces_of_its_scene():
     faces = faces_of(load_scene("needle", {"anatomy.membrane_depths_mm": {"vessel wall": 40.0}}))
     assert {name: face.center[2] for name, face in faces.items()} == {"capsule": 0.0, "vessel wall": -40.0}
     assert faces_of(load_scene("milling")) == {} == faces_of(None)
-
-
-def test_a_movie_that_cannot_be_drawn_leaves_no_file(pressed, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissue.system.offscreen._windows", lambda: iter(()))
-    with pytest.raises(InputError, match="movie must be drawn in 3D, but this machine has no OpenGL library"):
-        view(pressed, movie=tmp_path / "view.gif")
-    assert not (tmp_path / "view.gif").exists()

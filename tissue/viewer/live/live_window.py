@@ -8,10 +8,9 @@ from time import perf_counter, sleep
 
 import numpy as np
 
-from tissue.viewer.live.live_scene import LiveScene
-from tissue.viewer.live.pointer import HELP, Pointer
-from tissue.viewer.live.readings import Readings
-from tissue.viewer.plotter import add_names
+from tissue.viewer.live.live_scene import LiveScene, Readings
+from tissue.viewer.live.target import HELP, Pointer
+from tissue.viewer.plotter import add_names, add_text
 
 __all__ = ["NICE", "LiveWindow"]
 
@@ -42,14 +41,14 @@ class LiveWindow:
 
     def __init__(self, folder: Path) -> None:
         self.shown = LiveScene(folder, size_px=SIZE, margins=MARGINS)
-        self.plotter, self.arrays = self.shown.plotter, self.shown.arrays
+        self.plotter = self.shown.plotter
+        self.arrays = self.shown.arrays
         if self.shown.tissue is not None:
             add_names(self.plotter, self.shown.tissue.colours)
         for row, line in enumerate(HELP):
-            place = (0.012, 0.1 - 0.025 * row)
-            self.plotter.add_text(line, position=place, viewport=True, font_size=9, color="black")
-        self._words = self.plotter.add_text("", position=(0.012, 0.93), viewport=True, font_size=11, color="black")
-        self._clock = self.plotter.add_text("", position=(0.012, 0.895), viewport=True, font_size=9, color="black")
+            add_text(self.plotter, line, (0.012, 0.1 - 0.025 * row))
+        self._words = add_text(self.plotter, "", (0.012, 0.93), size=11)
+        self._clock = add_text(self.plotter, "", (0.012, 0.895))
 
     def open(self) -> None:
         """Open the window and take the mouse."""
@@ -61,7 +60,7 @@ class LiveWindow:
 
     @property
     def over(self) -> bool:
-        """Whether the ticks have ended or a person has closed the window."""
+        """State of the end: the ticks have ended, or a person has closed the window."""
         return bool(self.arrays["ended"][0] or self.arrays["closed"][0])
 
     def frame(self) -> None:
@@ -82,7 +81,7 @@ class LiveWindow:
         self.arrays["frames"][0] += 1
 
     def run(self) -> None:
-        """Frame after frame until it is over."""
+        """Run frame after frame until it is over."""
         while not self.over:
             began = perf_counter()
             self.frame()
@@ -90,16 +89,22 @@ class LiveWindow:
         self.plotter.close()
 
     def _write(self, read: Readings) -> None:
-        """What is read, in words."""
+        """Write force, removed volume and lateness."""
+        numbers = read.numbers
         parts = ", ".join(f"{one:.2f}" for one in read.force_N.round(2) + 0.0)
-        words = [f"{read.time_s:.2f} s: force {np.linalg.norm(read.force_N):.2f} N ({parts})"]
+        words = [f"{numbers['time_s']:.2f} s: force {np.linalg.norm(read.force_N):.2f} N ({parts})"]
         if read.device_N is not None:
             words.append(f"at the device {read.device_N:.2f} N")
-        if read.removed_mm3 > 0.0:
-            words.append(f"removed {read.removed_mm3:.2f} mm³")
+        if numbers["removed_mm3"] > 0.0:
+            words.append(f"removed {numbers['removed_mm3']:.2f} mm³")
         self._words.input = ", ".join(words)
-        clock = f"tick {read.tick_us:.0f} µs, {read.late_us:.0f} µs late; {read.missed:.0f} deadlines of 1 ms missed"
-        self._clock.input = f"{clock}, {read.skipped_ms:.0f} ms skipped" if read.skipped_ms > 0.0 else clock
+        clock = (
+            f"tick {numbers['tick_us']:.0f} µs, {numbers['late_us']:.0f} µs late; "
+            f"{numbers['missed']:.0f} deadlines of 1 ms missed"
+        )
+        if numbers["skipped_ms"] > 0.0:
+            clock += f", {numbers['skipped_ms']:.0f} ms skipped"
+        self._clock.input = clock
 
     def _close(self, *_: object) -> None:
         self.arrays["closed"][0] = 1

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from tissue.simulation.live.window import LOADS
-from tissue.viewer.camera import aim
-from tissue.viewer.live.live_scene import LiveScene
-from tissue.viewer.live.readings import Readings
+from tissue.viewer.live.live_scene import LiveScene, Readings
 from tissue.viewer.live.target import NOTCH_MM, Target
+from tissue.viewer.plotter import aim
 from tissue.viewer.web.messages import Values
-from tissue.viewer.web.process import serve
+from tissue.viewer.web.server import serve
 from tissue.viewer.web.stage import Stage
 
 __all__ = ["LivePage"]
@@ -56,27 +55,32 @@ class LivePage:
     def __init__(self, folder: Path) -> None:
         self.shown = LiveScene(folder, size_px=SIZE, margins=MARGINS, off_screen=True)
         plotter = self.shown.plotter
-        start, axis = self.shown.target_options["start_mm"], self.shown.target_options["axis"]
+        start = self.shown.target_options["start_mm"]
+        axis = self.shown.target_options["axis"]
         size = float(np.linalg.norm(np.ptp(self.shown.points_mm, axis=0)))
         points = np.vstack([self.shown.points_mm, start + ABOVE * size * axis])
         self.stage = Stage(plotter, lambda: aim(plotter, points, margins=MARGINS))
         self.target = Target(plotter, **self.shown.target_options)
         self._sent_mm = self.target.target_mm
         self.arrays = self.shown.arrays
-        self._attended, self._paused = False, False
+        self._attended = False
+        self._paused = False
         self._hold()
-        self._count, self._run, self._resets = 0, 0, 0
+        self._count = 0
+        self._run = 0
+        self._resets = 0
         self._last: dict[str, Any] | None = None
         self._readings: Readings | None = None
 
     @property
     def over(self) -> bool:
-        """Whether the ticks have ended or a person ends them."""
+        """State of the end, which the ticks set."""
         return bool(self.arrays["ended"][0])
 
     def hello(self) -> dict[str, Any]:
-        """The scene's name, what is shown in which colour, and the state."""
-        self._last, self.stage.changed = None, True
+        """Return the scene's name and the legend."""
+        self._last = None
+        self.stage.changed = True
         from matplotlib.colors import to_hex
 
         legend = {name: to_hex(colour) for name, colour in self.shown.colours.items()}
@@ -93,13 +97,8 @@ class LivePage:
 
     def take(self, do: str, values: Values) -> None:
         """Move the tool, turn the view, pause, begin again or end."""
-        number = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
-        if do == "size":
-            self.stage.resize(number["wide"], number["tall"])
-        elif do == "turn":
-            self.stage.turn(number["right"], number["up"])
-        elif do == "zoom":
-            self.stage.zoom(number["by"])
+        if self.stage.take(do, values):
+            pass
         elif do == "pause":
             self._paused = bool(values["on"])
             self._hold()
@@ -111,7 +110,7 @@ class LivePage:
         elif do == "end":
             self.leave()
         elif not (self._paused or self._resetting):
-            self._move(do, values, number)
+            self._move(do, values)
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
         """Send where the tool is wanted, and show what is new."""
@@ -134,16 +133,16 @@ class LivePage:
 
     @property
     def _resetting(self) -> bool:
-        """Whether a reset was asked for and the run has not begun again."""
+        """State of a reset that was asked for and has not happened yet."""
         return self._resets != self._run
 
-    def _move(self, do: str, values: Values, number: dict[str, float]) -> None:
-        """Move the tool as `tissue.viewer.live.pointer.Pointer` does."""
+    def _move(self, do: str, values: Values) -> None:
+        """Move the tool as `tissue.viewer.live.target.Pointer` does."""
         if do == "move":
             tall_mm = self.stage.tall_px * self.target.mm_per_pixel
-            self.target.across(tall_mm * number["right"], tall_mm * number["up"])
+            self.target.across(tall_mm * float(values["right"]), tall_mm * float(values["up"]))
         elif do == "depth":
-            self.target.along(NOTCH_MM * number["notches"])
+            self.target.along(NOTCH_MM * float(values["notches"]))
         elif do == "key" and values["name"] in KEYS:
             self.target.press(KEYS[str(values["name"])])
 
@@ -155,11 +154,12 @@ class LivePage:
         self._run = int(self.arrays["runs"][0])
         self._count = int(self.arrays["loads_count"][0])
         self.target.reset()
-        self._sent_mm, self._readings = self.target.target_mm, None
+        self._sent_mm = self.target.target_mm
+        self._readings = None
         self.stage.changed = True
 
     def _loads(self) -> list[list[float]]:
-        """Rows of time [s] and force [N] that have come since the last frame."""
+        """Return the rows of time [s] and force [N] since the last frame."""
         count = int(self.arrays["loads_count"][0])
         first = max(self._count, count - LOADS // 2)
         rows = self.arrays["loads"][np.arange(first, count) % LOADS]
@@ -167,22 +167,19 @@ class LivePage:
         return np.round(rows, 4).tolist()
 
     def _figures(self, loads: list[list[float]]) -> dict[str, Any] | None:
-        """What the page writes and plots; None where nothing is new."""
-        state = "resetting" if self._resetting else "paused" if self._paused else "running"
+        """Return the data that the page writes and plots, or None if nothing is new."""
+        state = "running"
+        if self._resetting:
+            state = "resetting"
+        elif self._paused:
+            state = "paused"
         figures: dict[str, Any] = {"state": state, "run": self._run}
         read = self._readings
         if read is not None:
-            figures |= {
-                "time_s": read.time_s,
-                "force_N": np.round(read.force_N, 4).tolist(),
-                "torque_Nm": round(float(np.linalg.norm(read.torque_Nm)), 6),
-                "device_N": read.device_N,
-                "removed_mm3": read.removed_mm3,
-                "tick_us": read.tick_us,
-                "late_us": read.late_us,
-                "missed": read.missed,
-                "skipped_ms": read.skipped_ms,
-            }
+            figures |= read.numbers
+            figures["force_N"] = np.round(read.force_N, 4).tolist()
+            figures["torque_Nm"] = round(float(np.linalg.norm(read.torque_Nm)), 6)
+            figures["device_N"] = read.device_N
         if not loads and figures == self._last:
             return None
         self._last = figures

@@ -34,7 +34,7 @@ class MessageError(ValueError):
 
 
 def parse(text: str) -> tuple[str, Values]:
-    """What is asked for, and its entries.
+    """Read a message: its command and the entries.
 
     Raises
     ------
@@ -50,7 +50,10 @@ def parse(text: str) -> tuple[str, Values]:
         raise MessageError("a message must be an object with do")
     ranges = NUMBERS.get(do, {})
     kinds: dict[str, type] = dict.fromkeys(ranges, float)
-    kinds |= {"name": str} if do in WORDS else {"on": bool} if do in SWITCHES else {}
+    if do in WORDS:
+        kinds["name"] = str
+    elif do in SWITCHES:
+        kinds["on"] = bool
     if (not kinds and do not in ALONE) or set(found) != set(kinds):
         raise MessageError(f"{do[:40]!a} must be a known message with its entries alone")
     for name, kind in kinds.items():
@@ -78,7 +81,8 @@ class Pace:
     """
 
     def __init__(self) -> None:
-        self._left, self._time_s = AT_ONCE, 0.0
+        self._left = AT_ONCE
+        self._time_s = 0.0
 
     def wait_s(self, time_s: float) -> float:
         """Count a message that came at a time [s]; return how long to wait before the next one is read [s]."""

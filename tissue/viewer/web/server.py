@@ -1,18 +1,22 @@
-"""The server of a page: one page at a time, on this machine alone, with pictures and figures over a WebSocket."""
+"""Server of a page on the local machine: access control, pictures and figures over a WebSocket."""
 
 import asyncio
 import json
+import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
-from secrets import token_urlsafe
-from typing import Any, Protocol
+from secrets import compare_digest, token_urlsafe
+from typing import TYPE_CHECKING, Any, Protocol
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from tissue.viewer.web.gate import HOST, SOCKET, gate, new_token
 from tissue.viewer.web.messages import LARGEST, MessageError, Pace, Values, close_reason, parse
 
-__all__ = ["PageServer", "Session", "page_text"]
+if TYPE_CHECKING:
+    from aiohttp.typedefs import Handler, Middleware
+
+__all__ = ["HOST", "SOCKET", "PageServer", "Session", "gate", "new_token", "page_text", "refusal", "serve"]
 
 PAGE = Path(__file__).parent / "page"
 FRAME_S, REST_S = 1.0 / 30.0, 0.004
@@ -33,7 +37,7 @@ POLICY = (
 
 
 class Session(Protocol):
-    """What a page shows and moves."""
+    """Content of a page, and its response to messages."""
 
     kind: str
     """Which page it is: ``live`` or ``view``."""
@@ -44,19 +48,19 @@ class Session(Protocol):
         ...
 
     def hello(self) -> dict[str, Any]:
-        """What a page that has just opened needs."""
+        """Return the data that a page needs when it opens."""
         ...
 
     def take(self, do: str, values: Values) -> None:
-        """Do what a page asks for."""
+        """Apply a message of the page."""
         ...
 
     def attend(self, attended: bool) -> None:
-        """A page is there, or has gone."""
+        """Take note that a page was opened or closed."""
         ...
 
     def leave(self) -> None:
-        """No page came back: end it."""
+        """End because no page came back."""
         ...
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
@@ -81,11 +85,15 @@ class PageServer:
     """
 
     def __init__(self, session: Session, *, token: str | None = None) -> None:
-        self._session, self._token = session, token or new_token()
-        self._port, self.address = 0, ""
+        self._session = session
+        self._token = token or new_token()
+        self._port = 0
+        self.address = ""
         self._socket: web.WebSocketResponse | None = None
         self._line: asyncio.Transport | None = None
-        self._drawing, self._left_s, self._opened = True, 0.0, False
+        self._drawing = True
+        self._left_s = 0.0
+        self._opened = False
 
     async def serve(self, opened: Callable[[str], object], *, port: int = 0) -> None:
         """Serve until the session is over; ``opened`` is called with the address."""
@@ -107,8 +115,9 @@ class PageServer:
             await runner.cleanup()
 
     async def _run(self) -> None:
-        """Frame after frame until it is over."""
-        loop, session = asyncio.get_running_loop(), self._session
+        """Run frame after frame until it is over."""
+        loop = asyncio.get_running_loop()
+        session = self._session
         while not session.over:
             began = loop.time()
             socket = self._socket
@@ -139,12 +148,16 @@ class PageServer:
         # No heartbeat: on one machine the system reports a page that is gone, and a picture may take seconds to draw.
         socket = web.WebSocketResponse(timeout=CLOSES_S, max_msg_size=LARGEST)
         await socket.prepare(request)
-        before, its_line = self._socket, self._line
-        self._socket, self._line = socket, request.transport
+        before = self._socket
+        its_line = self._line
+        self._socket = socket
+        self._line = request.transport
         self._drawing = self._opened = True
         if before is not None:
             await _close(before, its_line, REPLACED, "another page shows it now")
-        session, pace, loop = self._session, Pace(), asyncio.get_running_loop()
+        session = self._session
+        pace = Pace()
+        loop = asyncio.get_running_loop()
         await socket.send_str(json.dumps({"hello": session.hello()}))
         session.attend(True)
         try:
@@ -163,7 +176,8 @@ class PageServer:
             await _close(socket, request.transport, WSCloseCode.POLICY_VIOLATION, str(error))
         finally:
             if self._socket is socket:
-                self._socket, self._left_s = None, loop.time()
+                self._socket = None
+                self._left_s = loop.time()
                 session.attend(False)
         return socket
 
@@ -184,8 +198,108 @@ def _cut(line: asyncio.Transport | None) -> None:
 
 
 def page_text(kind: str, nonce: str) -> str:
-    """A page as one text, so that it loads nothing more and its address alone holds the token."""
+    """Return a page as one text, so that it loads nothing more and its address alone holds the token."""
     text = (PAGE / f"{kind}.html").read_text("utf-8")
     script = "\n".join((PAGE / name).read_text("utf-8") for name in ("common.js", "plot.js", f"{kind}.js"))
     style = (PAGE / "page.css").read_text("utf-8")
     return text.replace("{{nonce}}", nonce).replace("{{style}}", style).replace("{{script}}", script)
+
+
+HOST = "127.0.0.1"
+"""Address that is served; no other machine reaches it."""
+SOCKET = "/socket"
+TOKEN_BYTES = 24
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+"""Of every answer: nothing is kept, no other site embeds it, and the token in the address is not sent on."""
+
+
+def new_token() -> str:
+    """Return a random token of 192 bits for an address."""
+    return token_urlsafe(TOKEN_BYTES)
+
+
+def refusal(*, host: str, origin: str | None, given: str, port: int, token: str, socket: bool) -> str | None:
+    """Return why a request is refused, or None.
+
+    A page of another site that asks by a name which it lets point here (DNS rebinding) is known by its Host, one that
+    opens the socket by its Origin, which browsers always send then.
+
+    Parameters
+    ----------
+    host, origin
+        Headers of the request.
+    given
+        Token in its address.
+    port, token
+        Where it is served and the token that opens it.
+    socket
+        Whether it opens the socket.
+    """
+    home = f"{HOST}:{port}"
+    if host != home:
+        return "the address must be the one that tissue printed"
+    if (socket and origin is None) or (origin is not None and origin != f"http://{home}"):
+        return "the page must be the one that tissue serves"
+    if not compare_digest(given.encode(), token.encode()):
+        return "the address must hold the token that tissue printed"
+    return None
+
+
+def gate(token: str, port: Callable[[], int]) -> "Middleware":
+    """Return middleware that answers 403 to refused requests. The port is known once the page is served."""
+
+    @web.middleware
+    async def judge(request: web.Request, handler: "Handler") -> web.StreamResponse:
+        why = refusal(
+            host=request.headers.get("Host", ""),
+            origin=request.headers.get("Origin"),
+            given=request.query.get("token", ""),
+            port=port(),
+            token=token,
+            socket=request.path == SOCKET,
+        )
+        if why is not None:
+            return web.Response(status=403, text=f"refused: {why}\n", headers=HEADERS)
+        answer = await handler(request)
+        if not answer.prepared:
+            answer.headers.update(HEADERS)
+        return answer
+
+    return judge
+
+
+NICE = 5
+"""Lower priority beside ticks."""
+
+
+def serve(make: Callable[[], Session], *, beside_ticks: bool) -> None:
+    """Make what is shown and serve it until it is over; its address is printed behind the word ready.
+
+    Whoever has started the process decides when it ends, so that Ctrl-C does nothing here.
+
+    Parameters
+    ----------
+    make
+        Makes what is shown.
+    beside_ticks
+        Whether ticks go on beside it, which come first.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if beside_ticks:
+        if hasattr(os, "nice"):
+            os.nice(NICE)
+        os.environ.setdefault("LP_NUM_THREADS", "1")  # OpenGL in software would take every core from the ticks
+    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    import pyvista
+
+    pyvista.global_theme.multi_samples = 1  # drawn in software, smooth edges take three times as long
+    session = make()
+    server = PageServer(session)
+    asyncio.run(server.serve(lambda address: print(f"ready {address}", file=standard_output, flush=True)))

@@ -1,14 +1,17 @@
-"""What a page shows in 3D: a plotter without a window, turned by the page, as pictures."""
+"""Off-screen view for a page: rotated by the page, sent as JPEG, with the colour scale as data."""
 
 from collections.abc import Callable
 from io import BytesIO
+from math import floor, log10
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 from tissue.viewer.plotter import Plotter
+from tissue.viewer.web.messages import Values
 
-__all__ = ["Stage"]
+__all__ = ["Stage", "taken_scale"]
 
 MOST_PX = 1_000_000
 """Largest picture [pixel]: more takes OpenGL in software longer than a frame."""
@@ -37,8 +40,11 @@ class Stage:
     """
 
     def __init__(self, plotter: Plotter, aim: Callable[[], None]) -> None:
-        self._plotter, self._aim = plotter, aim
-        self._turned, self._fine, self._moved_s = False, False, 0.0
+        self._plotter = plotter
+        self._aim = aim
+        self._turned = False
+        self._fine = False
+        self._moved_s = 0.0
         self.changed = True
         plotter.show(auto_close=False, interactive=False)
 
@@ -46,6 +52,19 @@ class Stage:
     def tall_px(self) -> int:
         """Height of a picture [pixel]."""
         return int(self._plotter.window_size[1])
+
+    def take(self, do: str, values: Values) -> bool:
+        """Change size or view as a page asks for, and return whether that was it."""
+        number = {name: float(value) for name, value in values.items() if not isinstance(value, str)}
+        if do == "size":
+            self.resize(number["wide"], number["tall"])
+        elif do == "turn":
+            self.turn(number["right"], number["up"])
+        elif do == "zoom":
+            self.zoom(number["by"])
+        else:
+            return False
+        return True
 
     def resize(self, wide: float, tall: float) -> None:
         """Draw pictures of this shape, and of this size [pixel] where that is not too much."""
@@ -75,10 +94,12 @@ class Stage:
         self._viewed()
 
     def picture(self) -> bytes | None:
-        """What is shown, as JPEG; once it stays as it is, one with smooth edges, and None from then on."""
+        """Return the view as JPEG: one with smooth edges once it stays the same, and None from then on."""
         now = perf_counter()
         if self.changed:
-            self.changed, self._fine, self._moved_s = False, False, now
+            self.changed = False
+            self._fine = False
+            self._moved_s = now
             return self._drawn()
         if self._fine or now - self._moved_s < STILL_S:
             return None
@@ -100,3 +121,32 @@ class Stage:
     def _viewed(self) -> None:
         self._plotter.renderer.ResetCameraClippingRange()
         self._turned = self.changed = True
+
+
+STOPS, MARKS = 24, 5
+"""Colours and labels along a scale."""
+
+
+def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
+    """Hide a plotter's scale of colours, and give its title, colours as ``#rrggbb`` from low to high, and labels.
+
+    None where it has none.
+    """
+    from matplotlib.colors import to_hex
+
+    found = None
+    for title, bar in plotter.scalar_bars.items():
+        bar.SetVisibility(False)
+        table = bar.GetLookupTable()
+        low, high = table.GetTableRange()
+        spaced = np.geomspace if table.UsingLogScale() else np.linspace
+        colours = []
+        for value in spaced(low, high, STOPS).tolist():
+            colour = [0.0, 0.0, 0.0]
+            table.GetColor(value, colour)
+            colours.append(to_hex((colour[0], colour[1], colour[2])))
+        digits = max(2 - floor(log10(max(high - low, 1e-12))), 0)
+        kind = ".2g" if table.UsingLogScale() or digits > 4 else f".{digits}f"
+        labels = [format(value, kind) for value in spaced(low, high, MARKS).tolist()]
+        found = {"title": title.split("\n")[0], "colours": colours, "labels": labels}
+    return found

@@ -28,13 +28,10 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
     """
     import matplotlib.figure  # noqa: F401  here, for two threads must not import modules that import each other
 
-    from tissue.figures.before_after import draw_before_after
+    from tissue.figures.bone_pictures import draw_before_after, draw_removed_depth
     from tissue.figures.force_depth import draw_force_depth
-    from tissue.figures.force_torque import draw_force_torque
-    from tissue.figures.held import draw_held
-    from tissue.figures.played import draw_played
-    from tissue.figures.press import draw_press
-    from tissue.figures.removed_depth import draw_removed_depth
+    from tissue.figures.force_time import draw_force_torque, draw_played
+    from tissue.figures.organ_pictures import draw_held, draw_press
     from tissue.figures.section import draw_section
     from tissue.figures.tool_mesh import tool_surface
 
@@ -43,7 +40,9 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
     def path(name: str) -> Path:
         return folder / f"{name}.{kind}"
 
-    scene, parts, fields = run.scene, run.parts, run.parts.fields
+    scene = run.scene
+    parts = run.parts
+    fields = run.parts.fields
     depth = None if parts.volume is None else depth_map(run)
     notes: dict[str, str | None] = {}
     with _background() as pool:
@@ -74,7 +73,7 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
 
 @contextmanager
 def _background() -> Iterator[ThreadPoolExecutor]:
-    """A thread that draws in 3D; what ends the block before its end, such as Ctrl-C, does not wait for it."""
+    """Provide a thread that renders in 3D. An exception in the block, such as Ctrl-C, does not wait for it."""
     with ThreadPoolExecutor(1) as thread:
         try:
             yield thread

@@ -1,7 +1,7 @@
-"""Movies of a run, as GIF with nothing further installed or as MP4."""
+"""Stills and movies of a run."""
 
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,11 +11,68 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
+from tissue.figures.rendering import round_length
+from tissue.viewer.plotter import Plotter, aim
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = ["FRAMES_PER_S", "check_movie", "movie_times_s", "write_movie"]
+__all__ = ["FRAMES_PER_S", "add_scale_bar", "check_movie", "leave_alone", "movie_times_s", "write_clean", "write_movie"]
+
+PLACE_PX = (40, 380)
+"""Lower left end of a scale bar [pixel]."""
+LONGEST = 0.15
+"""Longest scale bar, as a share of the window's width."""
+BORDER = 0.02
+"""Free border of a clean picture before it is cropped, as a share of its edges."""
+FINE, AROUND_PX = 2, 8
+"""Pixels along each edge of a clean picture for one of the window, and how many are left around what it shows."""
+
+
+def add_scale_bar(plotter: Plotter) -> None:
+    """Draw a bar of a round length in a window with a parallel projection."""
+    import pyvista
+    from vtkmodules.vtkRenderingCore import vtkActor2D, vtkPolyDataMapper2D
+
+    camera = plotter.camera
+    wide, tall = plotter.window_size
+    per_mm = tall / (2.0 * camera.parallel_scale)
+    length = round_length(LONGEST * wide / per_mm)
+    x, y = PLACE_PX
+    mapper = vtkPolyDataMapper2D()
+    mapper.SetInputData(pyvista.Line((x, y, 0.0), (x + length * per_mm, y, 0.0)))
+    mapper.ScalarVisibilityOff()
+    bar = vtkActor2D()
+    bar.SetMapper(mapper)
+    bar.GetProperty().SetColor(0.1, 0.1, 0.1)
+    bar.GetProperty().SetLineWidth(5.0)
+    plotter.add_actor(bar, reset_camera=False, render=False)
+    plotter.add_text(f"{length:g} mm", position=(x, y + 8), font_size=11, color="black")
+
+
+def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: NDArray[np.float64]) -> None:
+    """Take away text, widgets, scales and all actors but some, and let the points fill the window."""
+    plotter.clear_slider_widgets()
+    plotter.remove_legend(render=False)
+    plotter.remove_chart(*plotter.renderer._charts)
+    for actor in list(plotter.actors.values()):
+        if actor not in kept:
+            plotter.remove_actor(actor, reset_camera=False, render=False)
+    aim(plotter, points_mm, margins=(BORDER, 1.0 - BORDER, BORDER, 1.0 - BORDER), parallel=True)
+
+
+def write_clean(plotter: Plotter, file: Path) -> None:
+    """Write what is shown as PNG on a transparent ground, cropped to it."""
+    from PIL import Image
+
+    drawn = np.asarray(plotter.screenshot(None, return_img=True, transparent_background=True, scale=FINE))
+    there = np.argwhere(drawn[..., 3] > 0)
+    if len(there):
+        (top, left) = np.maximum(there.min(axis=0) - AROUND_PX, 0)
+        (low, right) = there.max(axis=0) + AROUND_PX + 1
+        drawn = drawn[top:low, left:right]
+    Image.fromarray(drawn).save(file, dpi=(300, 300))
+
 
 FRAMES_PER_S = 20
 """Both kinds can hold it: a GIF counts in hundredths of a second."""
@@ -44,7 +101,7 @@ def check_movie(path: Path) -> None:
 
 
 def _encoder_problem() -> str | None:
-    """Why no MP4 can be encoded here, or None."""
+    """Return why no MP4 can be encoded here, or None."""
     if find_spec("imageio") is None or find_spec("imageio_ffmpeg") is None:
         return "imageio and imageio-ffmpeg are not installed"
     import imageio_ffmpeg
@@ -58,7 +115,7 @@ def _encoder_problem() -> str | None:
 
 
 def movie_times_s(first_s: float, last_s: float) -> NDArray[np.float64]:
-    """Moments of a movie's pictures [s]; it lasts as long as the run where that is between 4 and 12 s."""
+    """Return the times of a movie's frames [s]. It lasts as long as the run, but at least 4 and at most 12 s."""
     lasts = float(np.clip(last_s - first_s, SHORTEST_S, LONGEST_S))
     return np.linspace(first_s, last_s, round(lasts * FRAMES_PER_S) + 1)
 

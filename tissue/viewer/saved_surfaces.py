@@ -1,4 +1,4 @@
-"""The bone of a saved run at any moment, as surfaces: carved again along the tool's poses."""
+"""Surfaces of a saved run: the bone at any moment, and the faces that a tool meets."""
 
 from collections.abc import Collection
 from contextlib import suppress
@@ -10,10 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.isolated_parser import parse_isolated
 from meshes.base.placement import Placement
 from meshes.voxels.volume import VoxelVolume
+from tissue.builders.registry import motion_of
+from tissue.figures.tool_mesh import tool_turns
+from tissue.models.tissue_model import TICK_S
 from tissue.motion.pose_file import poses_of_trace, read_poses
 from tissue.scene.named_parts import loaded
+from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
@@ -21,6 +26,7 @@ from tissue.simulation.bone_surface import smooth_normals
 from tissue.simulation.carved_surface import Box, CarvedSurface, changed_box
 from tissue.simulation.depth_map import facing, tool_axes
 from tissue.simulation.run_folder import SavedRun, saved_placement
+from tissue.simulation.saved_fields import SavedFields, frames_of
 from tissue.simulation.trace import Table
 from tissue.simulation.vtk_files import image_in_scene
 
@@ -29,7 +35,111 @@ if TYPE_CHECKING:
 
     from tissue.models.bone.replay import CarvingReplay
 
-__all__ = ["BoneOverTime", "bone_of", "read_voxels"]
+__all__ = [
+    "BoneOverTime",
+    "Plane",
+    "bone_of",
+    "cut_plane",
+    "faces_of",
+    "layer_faces",
+    "read_voxels",
+    "require_whole",
+    "saved_fields",
+    "tool_force",
+    "wall_face",
+]
+
+Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Normal and a point [mm]; what lies on the normal's side is left out."""
+INSIDE_MM = 1e-4
+"""Distance of a cut from the tool's deepest point, so that the plane goes through no face of the mesh."""
+FACE_MM = 30.0
+"""Edge of a drawn piece of a face that goes on, and how far a wall goes beyond the path on it."""
+WALL_MESH_MM = 5.0
+"""Width of the squares of a drawn wall."""
+
+
+def require_whole(saved: SavedRun) -> None:
+    """Refuse a run whose bone or frames are damaged, before VTK reads them in this process, which it could end.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged or lacks what it should hold; the message names it.
+    """
+    wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
+    if (saved.path / "fields.pvd").is_file():
+        wanted |= {name: [] for _, name in frames_of(saved.path)}
+    there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
+    if there:
+        parse_isolated(
+            "meshes.surfaces.vtk_reading:check_vtk",
+            saved.path,
+            what="folder of a run",
+            remedy="run the scene again",
+            arrays_by_file=there,
+        )
+
+
+def saved_fields(saved: SavedRun) -> SavedFields | None:
+    """Return the fields of a run over time; None for a run without any."""
+    if not (saved.path / "fields.pvd").is_file():
+        return None
+    fields = SavedFields(saved.path)
+    return fields if len(fields.times_s) and fields.names else None
+
+
+def cut_plane(saved: SavedRun, fields: SavedFields) -> Plane:
+    """Return the plane through the tool's deepest point that opens the mesh towards the viewer."""
+    x, y, z = map(float, fields.frames[0].center)
+    if saved.trace is not None and len(saved.trace.rows):
+        y = float(saved.trace["tool_y_mm"][saved.trace["tool_z_mm"].argmin()])
+    return (0.0, -1.0, 0.0), (x, y + INSIDE_MM, z)
+
+
+def tool_force(trace: Table) -> NDArray[np.float64]:
+    """Return the force of the tissue on the tool [N], shape (rows, 3)."""
+    return trace.vectors("model_force" if "model_force_x_N" in trace else "force", "N")
+
+
+def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
+    """Return the faces that a tool penetrates or presses [mm], by name. Voxels and meshes have none."""
+    make = None if scene is None else ANATOMIES[scene.anatomy.kind].faces
+    return {} if scene is None or make is None else loaded(make)(scene)
+
+
+def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
+    """Return a wall under the whole path of the tool."""
+    import pyvista
+
+    path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
+    low = path_mm.min(axis=0)
+    high = path_mm.max(axis=0)
+    middle = 0.5 * (low + high)
+    (wide, deep) = high - low + max(FACE_MM, 2.0 * (scene.coupling.roam_mm or 0.0))
+    return {
+        "wall": pyvista.Plane(
+            center=(*middle, 0.0),
+            direction=(0.0, 0.0, 1.0),
+            i_size=wide,
+            j_size=deep,
+            i_resolution=max(round(wide / WALL_MESH_MM), 1),
+            j_resolution=max(round(deep / WALL_MESH_MM), 1),
+        )
+    }
+
+
+def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
+    """Return the faces that a needle penetrates, by layer."""
+    import pyvista
+
+    assert isinstance(scene.anatomy, LayersAnatomy)
+    depths = {"capsule": 0.0} | dict(scene.anatomy.membranes)
+    return {
+        name: pyvista.Plane(center=(0.0, 0.0, -depth), direction=(0.0, 0.0, 1.0), i_size=FACE_MM, j_size=FACE_MM)
+        for name, depth in depths.items()
+    }
+
 
 COARSE_MM = 0.4
 """Spacing at which the bone of an incomplete run is built and cut again."""
@@ -60,7 +170,9 @@ class BoneOverTime:
     def __init__(
         self, volume: VoxelVolume, end: NDArray[np.uint8], replay: "CarvingReplay | None" = None, *, axis: int = 2
     ) -> None:
-        self._volume, self._replay, self._axis = volume, replay, axis
+        self._volume = volume
+        self._replay = replay
+        self._axis = axis
         self.layer_names = volume.layer_names
         self.layers: list[int] = np.unique(volume.layer[volume.fraction > 0]).tolist()
         box = changed_box(volume.fraction, end)
@@ -80,22 +192,25 @@ class BoneOverTime:
         """Bring the bone to the end of a tick; whether that can have changed it."""
         if self._replay is None or self.deepest_mm == 0.0 or tick == self._tick:
             return False
-        self._tick, self._left = tick, self._replay.at(tick)
+        self._tick = tick
+        self._left = self._replay.at(tick)
         return True
 
     def rest(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Surface [mm] of what no cut changes, of some of the layers."""
+        """Return the surface [mm] that no cut changes, of some of the layers."""
         return _smooth(self._of(shown).rest())
 
     def cut(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Surface [mm] of what is carved, at the moment and of some of the layers."""
+        """Return the surface [mm] of the carved part at the moment, of some of the layers."""
         carved = self._of(shown)
-        left, layer = self._left[carved.part], self._volume.layer[carved.part]
+        left = self._left[carved.part]
+        layer = self._volume.layer[carved.part]
         return _smooth(carved.of(np.where(np.isin(layer, list(shown)), left, np.uint8(0))))
 
     def _of(self, shown: Collection[int]) -> CarvedSurface:
         if self._carved is None or self._shown != frozenset(shown):
-            self._shown, volume = frozenset(shown), self._volume
+            self._shown = frozenset(shown)
+            volume = self._volume
             fraction = volume.fraction
             if not self._shown >= set(self.layers):
                 fraction = np.where(np.isin(volume.layer, list(shown)), fraction, np.uint8(0))
@@ -104,7 +219,7 @@ class BoneOverTime:
 
 
 def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
-    """The bone of a run over time; of an incomplete run one in coarse voxels; None without."""
+    """Return the bone of a run over time, in coarse voxels for an incomplete run, or None."""
     if saved.complete:
         file = saved.path / "bone.vti"
         if not file.is_file():
@@ -135,14 +250,14 @@ def _over_time(
     poses: NDArray[np.float64] | None = None,
     compute: str = "cpu",
 ) -> BoneOverTime:
-    """The bone along poses, or else along those of the trace, which is right within 20 µm."""
+    """Return the bone carved along poses, by default those of the trace, which are right within 20 µm."""
     from tissue.builders.cutting import cutter_of
 
     uncut = end is not None and np.array_equal(end, volume.fraction)
     if not isinstance(scene.tool, Tool) or scene.tool.spin_rpm == 0.0 or uncut or not len(trace.rows):
         return BoneOverTime(volume, volume.fraction if end is None else end)
     if poses is None:
-        axes = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
+        axes = tool_axes(tool_turns(trace))
         velocities = np.hstack([1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")])
         poses = poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes, velocities)
     import warp as wp
@@ -162,7 +277,7 @@ def _over_time(
 
 
 def _coarse(scene: Scene) -> VoxelVolume | None:
-    """The bone that a scene starts from, in coarse voxels; None of one that comes from a file, or of none."""
+    """Return the bone that a scene starts from in coarse voxels, or None if it comes from a file."""
     make = ANATOMIES[scene.anatomy.kind].voxels
     if make is None or getattr(scene.anatomy, "file", None) is not None:
         return None
@@ -175,7 +290,7 @@ def _coarse(scene: Scene) -> VoxelVolume | None:
 
 
 def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, NDArray[np.uint8]]:
-    """Voxels of a run's ``bone.vti`` in the scene's frame, before the first cut, and what is left in them at the end.
+    """Return the voxels of ``bone.vti`` in the scene's frame before the first cut, and the remaining bone at the end.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A still picture of a soft organ under load: how far it has moved, and the stress where it is cut open at the tool."""
+"""Figures of a soft organ: pressed, and at rest with its supports."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.figures.figure import DRAWING, is_vector, save
-from tissue.figures.marks import draw_axes, draw_scale
+from tissue.figures.figure import field_colours, field_words, halo
 from tissue.figures.organ_surface import SHOWN, at_nodes, drawn_surface, inclusions, section_cap, with_normals
-from tissue.figures.rendering import FIELD_AMBIENT, Camera, paint, render, side_by_side
-from tissue.figures.style import field_colours
-from tissue.figures.tool_mesh import pose
-from tissue.simulation.saved_fields import IN_MM, field_label, field_limits, field_values
-from tissue.simulation.series import frame_mesh
+from tissue.figures.rendering import FIELD_AMBIENT, Camera, Shaded, draw_axes, draw_shaded, paint
+from tissue.figures.tool_mesh import pose, tool_turns
+from tissue.simulation.saved_fields import IN_MM, field_limits, field_values
+from tissue.simulation.series import CELL_TYPES, frame_mesh
 from tissue.simulation.trace import Table
 
 if TYPE_CHECKING:
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
 
-__all__ = ["draw_press", "moment_of_press"]
+__all__ = ["draw_held", "draw_press", "moment_of_press"]
 
 EYE, ACROSS = (0.25, -0.75, 0.62), (0.0, -1.0, 0.0)
 """Directions towards the eye: that of `tissue view` but lower, and at right angles to a section."""
@@ -33,7 +31,8 @@ NUDGE = (0.0, 1e-4, 0.0)
 """How far behind the tool's tip a section lies [mm]: beside a row of nodes, not through it."""
 ABOVE = 0.2
 """How much of a needle above an organ is drawn, in heights of the organ."""
-HEAD_PX, FOOT_PX = 90, 150
+HEIGHTS_PX = 90, 150
+"""Above and below the renderings [pixel]."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class _Shown:
 
 
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
-    """The frame that is drawn, and why: the tool in contact nearest to an inclusion, else the greatest displacement."""
+    """Return the frame to draw, and the reason: nearest to an inclusion, or the largest displacement."""
     pressed = [frame for frame in series.frames if _greatest(frame) > 0.0]
     if not pressed:
         return None, ""
@@ -101,7 +100,8 @@ def draw_press(
     frame, why = moment_of_press(series, trace)
     if frame is None:
         return "nothing has moved"
-    row, moved = _row(trace, frame), _displacement(frame)
+    row = _row(trace, frame)
+    moved = _displacement(frame)
     mesh = frame_mesh(series, frame)
     mesh.points = np.asarray(mesh.points) + np.float32(IN_MM[moved.rpartition("_")[2]]) * mesh.point_data[moved]
     shown: list[_Shown] = []
@@ -111,13 +111,12 @@ def draw_press(
     tips = trace.vectors("tool", "mm")[row]
     eye = ACROSS if flat else EYE
     edge = _edge_of_inclusion(mesh, tips)
-    cameras: list[Camera] = []
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
-        """The deformed organ, whole and cut open, and what sees it."""
+        """Return the deformed organ, whole and cut open, with the tool."""
         import pyvista
 
-        place = pose(tips, [trace[f"tool_q{c}"][row] for c in "xyzw"])
+        place = pose(tips, tool_turns(trace)[row])
         probe = pyvista.PolyData() if tool is None else tool.transform(place, inplace=False)
         surfaces = [_organ(mesh, each, tips, edge, eye) for each in shown]
         organ = np.asarray(surfaces[0].points)
@@ -126,33 +125,28 @@ def draw_press(
         side = with_normals(probe) if probe.n_points else probe
         paint(side, np.tile(TOOL, (side.n_points, 1)))
         seen = np.vstack([organ, np.asarray(side.points).reshape(-1, 3)])
-        cameras.append(Camera.seeing(seen, eye, (0.0, 0.0, 1.0)))
-        return [(each.append_polydata(side) if side.n_cells else each, cameras[0]) for each in surfaces]
+        camera = Camera.seeing(seen, eye, (0.0, 0.0, 1.0))
+        return [(each.append_polydata(side) if side.n_cells else each, camera) for each in surfaces]
 
-    pictures = render(make, fine=is_vector(path), ambient=FIELD_AMBIENT)
-    if isinstance(pictures, str):
-        return pictures
-    force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
-    with DRAWING:
-        chart, panels, (_, tall) = side_by_side(pictures, head_px=HEAD_PX, foot_px=FOOT_PX, fine=is_vector(path))
-        title = f"{title}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
-        chart.text(0.5, 1.0 - 0.45 * HEAD_PX / tall, title, ha="center", va="center", size=11)
-        for axes, each in zip(panels, shown, strict=True):
-            left, foot, wide, _ = axes.get_position().bounds
-            draw_scale(axes, cameras[0])
+    def annotate(shaded: Shaded) -> None:
+        foot = HEIGHTS_PX[1] / shaded.size_px[1]
+        for axes, each in zip(shaded.panels, shown, strict=True):
+            left, _, wide, _ = axes.get_position().bounds
             if each.opened and edge is not None:
-                _name_inclusion(axes, *edge, cameras[0])
-            place = chart.add_axes((left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot))
-            bar = chart.colorbar(each.colours, cax=place, orientation="horizontal")
-            words = " / ".join(part for part in field_label(each.name) if part)
+                _name_inclusion(axes, *edge, shaded.cameras[0])
+            place = shaded.chart.add_axes((left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot))
+            bar = shaded.chart.colorbar(each.colours, cax=place, orientation="horizontal")
+            words = field_words(each.name)
             bar.set_label(words + (", cut open at the tool" if each.opened else ""))
             if each.ends[0] > 0.0:
                 ticks = np.geomspace(*each.ends, 4).tolist()
                 bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
                 bar.minorticks_off()
-        draw_axes(chart.add_axes((0.0, 0.0, 0.12, foot)), "xyz", cameras[0])
-        save(chart, path)
-    return None
+        draw_axes(shaded.chart.add_axes((0.0, 0.0, 0.12, foot)), "xyz", shaded.cameras[0])
+
+    force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
+    title = f"{title}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
+    return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, title=title, ambient=FIELD_AMBIENT)
 
 
 def _organ(
@@ -162,7 +156,7 @@ def _organ(
     edge: "tuple[str, pyvista.PolyData] | None",
     eye: tuple[float, ...],
 ) -> "pyvista.PolyData":
-    """The organ in a field's colours, cut open at the tool where it is asked for; an inclusion there has an outline."""
+    """Return the organ in a field's colours, cut open at the tool if asked for, with the outline of an inclusion."""
     whole = drawn_surface(mesh, at_nodes(mesh, shown.name))
     parts = [whole]
     if shown.opened:
@@ -186,7 +180,7 @@ def _organ(
 def _edge_of_inclusion(
     mesh: "pyvista.UnstructuredGrid", tip_mm: NDArray[np.float64]
 ) -> "tuple[str, pyvista.PolyData] | None":
-    """Name of an inclusion and its outline in the section at the tool; None where the section meets none."""
+    """Return name and outline of an inclusion in the section at the tool, or None."""
     names = tuple(str(name) for name in mesh.field_data["layer_names"])
     layer = np.asarray(mesh.cell_data["layer"])
     inside = inclusions(np.asarray(mesh.points)[mesh.cell_connectivity.reshape(mesh.n_cells, -1)], layer)
@@ -198,13 +192,10 @@ def _edge_of_inclusion(
 
 
 def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: Camera) -> None:
-    """The inclusion's name below its outline."""
-    from matplotlib.patheffects import withStroke
-
+    """Write the inclusion's name below its outline."""
     pixels = camera.pixels(line.points)
     x, y = pixels[pixels[:, 1].argmax()]
-    around = [withStroke(linewidth=2.5, foreground="white")]
-    axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=around)
+    axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=halo(2.5))
 
 
 def _row(trace: Table, frame: Frame) -> int:
@@ -218,3 +209,49 @@ def _displacement(frame: Frame) -> str:
 def _greatest(frame: Frame) -> float:
     name = _displacement(frame)
     return float(np.linalg.norm(frame.points[name], axis=1).max(initial=0.0)) if name else 0.0
+
+
+FREE = (0.93, 0.91, 0.87)
+HELD = (0.902, 0.624, 0.0)
+TOUCHABLE = (0.0, 0.447, 0.698)
+EYES = {"from above": (0.25, -0.75, 0.62), "from below": (0.25, -0.75, -0.62)}
+HELD_HEIGHTS_PX = 110, 80
+
+
+def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
+    """Draw the organ's surface, triangles of held nodes and of touchable nodes in colours of their own.
+
+    Returns
+    -------
+    None, or why it could not be drawn.
+    """
+    surface = _surface(series)
+
+    def make() -> "list[tuple[pyvista.PolyData, Camera]]":
+        return [(surface, Camera.seeing(surface.points, eye, (0.0, 0.0, 1.0))) for eye in EYES.values()]
+
+    def annotate(shaded: Shaded) -> None:
+        from matplotlib.patches import Patch
+
+        named = (("held", HELD), ("may be touched", TOUCHABLE), ("free", FREE))
+        handles = [Patch(facecolor=colour, edgecolor="0.4", label=name) for name, colour in named]
+        shaded.chart.legend(handles=handles, loc="lower center", ncols=3, frameon=False)
+
+    title = f"{title}: what holds the organ"
+    return draw_shaded(make, path, annotate, margins_px=HELD_HEIGHTS_PX, title=title, names=list(EYES))
+
+
+def _surface(series: FieldSeries) -> "pyvista.PolyData":
+    """Return the boundary with held and touchable triangles in colours of their own."""
+    import pyvista
+
+    grid = pyvista.UnstructuredGrid({CELL_TYPES[series.cells.shape[1]]: series.cells}, 1e3 * series.nodes_m)
+    marks = {"touchable": TOUCHABLE, "held": HELD}
+    nodes = np.arange(len(series.nodes_m))
+    member = np.column_stack([np.isin(nodes, series.node_sets.get(name, ())) for name in marks])
+    surface = drawn_surface(grid, member.astype(np.float32))
+    colours = np.tile(FREE, (surface.n_cells, 1))
+    whole = np.asarray(surface.point_data[SHOWN])[surface.regular_faces].min(axis=1) == 1.0
+    for index, colour in enumerate(marks.values()):
+        colours[whole[:, index]] = colour
+    return paint(surface, colours)
