@@ -7,11 +7,10 @@ from scipy.sparse import csr_array
 
 from meshes.base.arrays import Array
 from tissue.fitting.forward import Forward
-from tissue.fitting.measured import MeasuredLoads
+from tissue.fitting.measured import MeasuredLoads, shift_operators
 from tissue.fitting.noise import NoiseTerms, freedom_information, innovations, noise_terms, place_information
-from tissue.fitting.shift import shift_operators
 
-__all__ = ["OFFSET_S", "Target", "Unpacked"]
+__all__ = ["OFFSET_S", "Restricted", "Target", "Unpacked"]
 
 OFFSET_S = 0.02
 """Standard deviation of the prior of the time between the clocks of force and pose [s]: two instruments started by hand
@@ -71,7 +70,7 @@ class Target:
         self._sizes = log.sizes()
         self.constants = len(self._priors)
         self.sides = np.array([each.side for each in forward.parameters])
-        """Side of each constant, shape (p,), see `tissue.fitting.parameter.Parameter.side`."""
+        """Side of each constant, shape (p,), see `tissue.fitting.forward.Parameter.side`."""
         self.size = self.constants + 1 + 4 * len(log.channels)
         self._linearised: tuple[Array, Array, Array] | None = None
         self._last_shift: tuple[float, tuple[csr_array, csr_array]] | None = None
@@ -227,3 +226,56 @@ MOST_WEIGHT = 10.0
 """Neighbouring samples taken as one while the noise's correlation is not known yet."""
 CORRELATED = 0.5
 """Correlation of neighbours from which an optimiser begins."""
+
+
+class Restricted:
+    """A `Target` with the restricted likelihood of its noise; sensitivities are those at one place.
+
+    Parameters
+    ----------
+    target
+        The density of constants and nuisances.
+    u
+        Where its sensitivities are taken, shape (size,).
+    """
+
+    def __init__(self, target: Target, u: Array) -> None:
+        self.target = target
+        _, moved = target.linearised(u)
+        known = np.isfinite(target.log.values)[:, :, None]
+        follows = known[1:] & known[:-1]
+        starts = known & ~np.concatenate([np.zeros_like(known[:1]), known[:-1]])
+        now, before = np.where(follows, moved[1:], 0.0), np.where(follows, moved[:-1], 0.0)
+        first = np.where(starts, moved, 0.0)
+        products = _products(first, first)
+        crossed = _products(now, before)
+        # Information of a channel for correlation phi and scale s: (constant + linear phi + square phi²)
+        # times that of a place over s².
+        self._constant = products + _products(now, now)
+        self._linear = -crossed - np.swapaxes(crossed, 1, 2)
+        self._square = _products(before, before) - products
+
+    def information(self, u: Array) -> Array:
+        """Return `Target.information`."""
+        return self.target.information(u)
+
+    def value_and_gradient(self, u: Array) -> tuple[float, Array]:
+        """Return the log density, up to a constant, and its gradient, shape (size,)."""
+        value, gradient = self.target.value_and_gradient(u)
+        each, p, c = self.target.unpacked(u), self.target.constants, len(self.target.log.channels)
+        nu, phi = each.freedom, each.correlation[:, None, None]
+        precision = (place_information(nu) / each.scale**2)[:, None, None]
+        information = (self._constant + phi * self._linear + phi**2 * self._square) * precision
+        whole = information.sum(axis=0) + np.eye(information.shape[1])
+        inverse = np.linalg.inv(whole)
+        by_phi = np.einsum("ij,cji->c", inverse, (self._linear + 2.0 * phi * self._square) * precision)
+        by_size = np.einsum("ij,cji->c", inverse, information)
+        gradient[p + 1 + c :] -= self.target.noise_gradient(
+            each, -by_size, 0.5 * by_phi, by_size / ((nu + 1.0) * (nu + 3.0))
+        )
+        return value - 0.5 * float(np.linalg.slogdet(whole)[1]), gradient
+
+
+def _products(left: Array, right: Array) -> Array:
+    """Products of sensitivities (m, channels, k), summed over times, for each channel, shape (channels, k, k)."""
+    return np.asarray(np.einsum("tci,tcj->cij", left, right, optimize=True))

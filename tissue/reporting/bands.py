@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from tissue.simulation.run_folder import SavedRun
-from tissue.uncertainty.sentences import band_lines
+from tissue.uncertainty.figures import band_lines
 
 __all__ = ["band_section"]
 

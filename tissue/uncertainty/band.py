@@ -12,17 +12,69 @@ from tissue.scene.scene import Scene
 from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.simulate import simulate
-from tissue.uncertainty.band_summary import about, without
-from tissue.uncertainty.figures import GREATEST, LEVELS, LOADS, Figure, intervals, table_of
-from tissue.uncertainty.rerun import Workers, ranges_of, reruns
+from tissue.uncertainty.figures import GREATEST, LEVELS, LOADS, Figure, intervals, over_time, table_of
+from tissue.uncertainty.rerun import Workers, reruns
 from tissue.uncertainty.reweighed import Reweighed, density_prior, with_sizes
-from tissue.uncertainty.sample import Ranges, normals, rounded
-from tissue.uncertainty.sample_files import sample_name, sample_text
-from tissue.uncertainty.sobol import sobol_indices
-from tissue.uncertainty.span import over_time
-from tissue.uncertainty.surrogate import surrogate_indices
+from tissue.uncertainty.sample import Ranges, normals, ranges_of, rounded, sample_name, sample_text
+from tissue.uncertainty.sobol import SobolIndices, sobol_indices, surrogate_indices
 
 __all__ = ["Band", "band_of", "require_band", "require_same"]
+
+SAME_EVERYWHERE = (
+    "does not vary with the constants: the path is given, so that the run's own figure holds in every sample"
+)
+NEEDS_RUNS = "depends on constants, and the loads alone were reweighed: it needs a run of each sample, --each-run"
+
+
+def _about(
+    asked: int, seed: int, how: str, ranges: Ranges, indices: SobolIndices, figures: tuple[Figure, ...] = LOADS
+) -> Summary:
+    """Entries of ``summary.json`` on how the band was made, its constants and their indices."""
+    return {
+        "asked": asked,
+        "seed": seed,
+        "how": how,
+        "constants": _constants(ranges),
+        "sobol": _indices(indices, ranges, figures),
+    }
+
+
+def _without(scene: Scene) -> dict[str, str]:
+    """Figures without an interval where loads are reweighed, and the reason."""
+    names = ["removed_mm3", "contact_share"] + ["keep_clear"] * (scene.keep_clear is not None)
+    found = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
+    if scene.heat:
+        found |= dict.fromkeys(("greatest_pulp_rise_K", "events"), NEEDS_RUNS)
+    if scene.stress is not None:
+        found["stress"] = NEEDS_RUNS
+    return found
+
+
+def _constants(ranges: Ranges) -> dict[str, dict[str, float]]:
+    return {
+        name: {"value": prior.value, "low": prior.low, "high": prior.high}
+        for name, prior in zip(ranges.names, ranges.priors, strict=True)
+    }
+
+
+def _indices(
+    found: SobolIndices, ranges: Ranges, figures: tuple[Figure, ...]
+) -> dict[str, dict[str, dict[str, object]]]:
+    """Indices by figure and group; none of a figure that does not vary."""
+    return {
+        ".".join(figure): {
+            group: {
+                "first": float(found.first[row, column]),
+                "first_90": found.first_ends[:, row, column].tolist(),
+                "total": float(found.total[row, column]),
+                "total_90": found.total_ends[:, row, column].tolist(),
+            }
+            for row, group in enumerate(ranges.group_names)
+        }
+        for column, figure in enumerate(figures)
+        if np.isfinite(found.total[:, column]).all()
+    }
+
 
 HOW = "the geometry was recorded once and reweighed, for the force is linear in the coefficients and the path is given"
 HOW_RERUN = "every sample was run, for the force is not linear in the constants or moves the tool"
@@ -158,8 +210,8 @@ def band_of(
     report("computing Sobol indices", 0.5)
     indices = sobol_indices(lambda free: reweighed.figures(ranges.x(free)), ranges.groups, count=SOBOL_ROWS, seed=seed)
     files = tuple(sample_text(record.scene.constants, ranges.names, each) for each in values)
-    summary = about(asked, seed, HOW, ranges, indices) | intervals(LOADS, figures)
-    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": without(scene)}
+    summary = _about(asked, seed, HOW, ranges, indices) | intervals(LOADS, figures)
+    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": _without(scene)}
     numbers = np.arange(len(files))
     return Band(record.times_s, nominal, quantiles, ranges.names, values, LOADS, figures, numbers, files, summary)
 
@@ -195,7 +247,7 @@ def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int 
     explaining = [at for at, name in enumerate(names) if name in LOADS or name[0].startswith(GREATEST)]
     explained_names = tuple(names[at] for at in explaining)
     indices, explained = surrogate_indices(free[kept], figures[:, explaining], ranges.groups, seed=seed)
-    summary = about(asked, seed, HOW_ASKED if is_linear else HOW_RERUN, ranges, indices, explained_names) | intervals(
+    summary = _about(asked, seed, HOW_ASKED if is_linear else HOW_RERUN, ranges, indices, explained_names) | intervals(
         names, figures
     )
     summary |= {"samples": len(kept), "failed": len(problems), "problems": problems, "span": span}

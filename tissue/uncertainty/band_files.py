@@ -16,7 +16,7 @@ from tissue.simulation.run_summary import read_summary
 from tissue.uncertainty.band import Band
 from tissue.uncertainty.figures import LEVELS
 from tissue.uncertainty.reweighed import CHANNELS
-from tissue.uncertainty.sample_files import sample_name
+from tissue.uncertainty.sample import sample_name
 
 __all__ = ["read_band", "save_band"]
 

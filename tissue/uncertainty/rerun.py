@@ -11,18 +11,15 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
-from tissue.materials.prior import Prior
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
-from tissue.scene.used_constants import used_constants
 from tissue.simulation.simulate import simulate
 from tissue.system.pools import LOST, executor
 from tissue.system.workers import first_done
 from tissue.uncertainty.figures import Figure, figures_of
 from tissue.uncertainty.reweighed import with_sizes
-from tissue.uncertainty.sample import Ranges
 
-__all__ = ["Outcome", "Workers", "ranges_of", "reruns"]
+__all__ = ["Outcome", "Workers", "reruns"]
 
 Outcome = tuple[Array, dict[Figure, float]] | str
 """Loads, shape (n, 8), and figures of a run; or why there are none."""
@@ -40,14 +37,6 @@ class Workers:
     count: int = 1
     scheduler: str | None = None
     compute: str = "cpu"
-
-
-def ranges_of(scene: Scene, layers: tuple[str, ...]) -> Ranges:
-    """Constants with a range on which a scene of such layers rests, but those that it sets itself."""
-    used = [one for one in used_constants(scene, layers, varied=True) if one.stated is None]
-    priors = {one.full: Prior.of(one.cited, one.full) for one in used}
-    priors = {name: prior for name, prior in priors.items() if not prior.fixed}
-    return Ranges(tuple(priors), tuple(priors.values()), scene.constants.correlation(tuple(priors)))
 
 
 def reruns(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.fitting.averaged import block_averages, block_ticks
+from tissue.fitting.measured import block_averages, block_ticks
 
 
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 5), (200.0, 5), (150.0, 7), (100.0, 10), (30.0, 34)])

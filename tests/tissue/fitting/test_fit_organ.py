@@ -6,9 +6,8 @@ import pytest
 import tissue
 from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.log import read_log
-from tissue.fitting.organ_constants import organ_parameters
 from tissue.fitting.organ_problem import EVERY, FARTHEST
-from tissue.fitting.organ_runs import OrganRuns, Poses
+from tissue.fitting.organ_runs import OrganRuns, Poses, organ_parameters
 from tissue.materials.prior import Z_95
 from tissue.scene.load import changed
 

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from tissue.fitting.experiments import expected_information
-from tissue.fitting.forward import LinearForward
-from tissue.fitting.identifiability import identified
+from tissue.fitting.forward import LinearForward, Parameter
+from tissue.fitting.identifiability import expected_information, identified
 from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.parameter import Parameter
 from tissue.fitting.posterior import Posterior
 from tissue.fitting.target import BIAS_SHARE, CORRELATION_SPREAD, FREEDOM, MOST_CORRELATED, OFFSET_S, Target
 from tissue.materials.prior import Prior

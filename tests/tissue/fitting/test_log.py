@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.fitting.averaged import block_averages
 from tissue.fitting.log import read_log
+from tissue.fitting.measured import block_averages
 from tissue.simulation.trace import Table
 from tissue.simulation.trace_files import write_table
 

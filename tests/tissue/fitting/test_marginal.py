@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from cut_logs import forward_along
 
-from tissue.fitting.averaged import block_averages
-from tissue.fitting.forward import LinearForward
+from tissue.fitting.forward import LinearForward, Parameter
 from tissue.fitting.identifiability import identified
 from tissue.fitting.marginal import NEGLIGIBLE, log_density_at
-from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.parameter import Parameter
+from tissue.fitting.measured import MeasuredLoads, block_averages
 from tissue.fitting.posterior import maximum_posterior
 from tissue.materials.prior import Prior
 
@@ -105,3 +103,16 @@ def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
                 assert straight == pytest.approx(along, rel=0.03, abs=0.1)  # far down the density matters little
                 compared += 1
     assert compared >= 10
+
+
+def test_an_offset_that_leaves_a_jump_between_two_samples_is_not_known_within_them():
+    """Poses at 1 kHz, loads read each 20 ms: a load that jumps 8 ms after a sample jumps anywhere in those 20 ms."""
+    times = 1e-3 * np.arange(2000)
+    basis = np.where(times > 1.008, 1.0, 0.0)[:, None, None]
+    forward = LinearForward((Parameter("cutting.bone.k_N_mm", Prior(5.0, 1.0, 25.0)),), ("force_z_N",), times, basis)
+    rng = np.random.default_rng(4)
+    values = 6.0 * basis[::20, :, 0] + 0.05 * rng.standard_normal((100, 1))
+    found = maximum_posterior(forward, MeasuredLoads(times[::20], values, ("force_z_N",)))
+    low, high = found.offset_interval_s
+    # uniform between -8 and 12 ms, weighed by the prior of 20 ms
+    assert (low, high) == pytest.approx((-0.007, 0.011), abs=0.0015)

@@ -5,10 +5,9 @@ import pytest
 from scipy.special import gammaln
 from scipy.stats import multivariate_normal, norm
 
-from tissue.fitting.forward import LinearForward
+from tissue.fitting.forward import LinearForward, Parameter
+from tissue.fitting.marginal import log_factor
 from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.one_sided import log_factor
-from tissue.fitting.parameter import Parameter
 from tissue.fitting.posterior import maximum_posterior
 from tissue.materials.prior import Prior
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from tissue.fitting.organ_constants import organ_parameters
-from tissue.fitting.organ_forward import OrganForward
-from tissue.fitting.organ_runs import OrganRuns, Poses
-from tissue.fitting.parameter import Parameter
+from tissue.fitting.forward import Parameter
+from tissue.fitting.organ_problem import OrganForward
+from tissue.fitting.organ_runs import OrganRuns, Poses, organ_parameters
 from tissue.materials.prior import Prior
 from tissue.scene.load import load_scene
 

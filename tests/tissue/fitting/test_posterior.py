@@ -5,11 +5,9 @@ import pytest
 from planted_logs import NAMES, PRIORS, slot
 from planted_logs import planted as plant
 
-from tissue.fitting.experiments import expected_information
-from tissue.fitting.forward import LinearForward
-from tissue.fitting.identifiability import identified
+from tissue.fitting.forward import LinearForward, Parameter
+from tissue.fitting.identifiability import expected_information, identified
 from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.parameter import Parameter
 from tissue.fitting.posterior import maximum_posterior
 from tissue.fitting.target import Target
 from tissue.materials.prior import Prior

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tissue.fitting.shift import shift_operators
+from tissue.fitting.measured import shift_operators
 
 TIMES = np.linspace(0.0, 1.0, 101)
 

@@ -17,8 +17,7 @@ from tissue.scene.scene import Scene
 from tissue.simulation.simulate import simulate
 from tissue.uncertainty import rerun
 from tissue.uncertainty.band import band_of
-from tissue.uncertainty.figures import NUMBER, intervals, table_of
-from tissue.uncertainty.span import over_time
+from tissue.uncertainty.figures import NUMBER, intervals, over_time, table_of
 
 
 @pytest.fixture

@@ -5,8 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from tissue.uncertainty.sample import normals
-from tissue.uncertainty.sobol import sobol_indices
-from tissue.uncertainty.surrogate import LEAST_EXPLAINED, surrogate_indices
+from tissue.uncertainty.sobol import LEAST_EXPLAINED, sobol_indices, surrogate_indices
 
 SEPARATE = ((0,), (1,), (2,))
 
