@@ -32,7 +32,9 @@ __all__ = ["cutting_candidates", "cutting_problem"]
 
 REFERENCE = "reference_density_kg_m3"
 """The density at which coefficients are stated."""
-FEEDS, SPINS, DEPTHS = (0.25, 1.0, 4.0), (0.5, 1.0, 2.0), (0.25, 0.5, 1.0)
+FEEDS = (0.25, 1.0, 4.0)
+SPINS = (0.5, 1.0, 2.0)
+DEPTHS = (0.25, 0.5, 1.0)
 """Times the log's feed, the tool's spin, and its radius."""
 UP = (0.0, 0.0, 1.0)
 TICKS = 60
@@ -42,7 +44,8 @@ TRAVEL = {"slot": 1.0, "plunge": 0.1}
 """What the tool goes in a record, in radii: a plunge little enough to have one depth."""
 VOXELS = 20
 """Voxels on a radius."""
-AIR, LASTS = 250, 1250
+AIR = 250
+LASTS = 1250
 """Ticks in air, and all ticks of a candidate."""
 
 
@@ -81,7 +84,8 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
     """
     tool = like.record.scene.tool
     assert isinstance(tool, Tool)
-    feed_m_s, radius_m = _feed_m_s(like), 0.5e-3 * tool.diameter_mm
+    feed_m_s = _feed_m_s(like)
+    radius_m = 0.5e-3 * tool.diameter_mm
     found = {}
     for kind, depth in product(TRAVEL, DEPTHS):
         unit, recorded_m_s = _steady(like.record.scene, tool, kind, depth * radius_m)
@@ -121,7 +125,8 @@ def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[Array,
     along = np.array([travel_m, 0.0, 0.0]) if kind == "slot" else np.array([0.0, 0.0, -travel_m])
     feed_m_s = travel_m / (TICKS * TICK_S)
     motion = FollowPath(np.stack([deep - 0.75 * along, deep + 0.25 * along]), feed_m_s=feed_m_s, axis=UP)
-    wide_mm, size_mm = 3.0 * tool.diameter_mm, 2.0 * tool.diameter_mm
+    wide_mm = 3.0 * tool.diameter_mm
+    size_mm = 2.0 * tool.diameter_mm
     block = scene.model_copy(
         update={
             "anatomy": BlockAnatomy(size_mm=(wide_mm, wide_mm, size_mm)),

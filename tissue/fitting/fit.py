@@ -30,7 +30,8 @@ PROBLEMS = {
 FITTED = "fit a scene of bone, a tooth or an organ"
 NUISANCES = ("density.", KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
-FAR, FAR_TIMES = 3.0, 10.0
+FAR = 3.0
+FAR_TIMES = 10.0
 """Standard deviations of a prior beyond which a value contradicts it (0.3 % of constants lie there by chance), and the
 ratio to the end of its range from which it does so in any case: some priors have a heavy tail towards zero."""
 VISIBLE = 20.0
@@ -178,7 +179,8 @@ class SceneFit:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What a person should know of the fit."""
-        each, (low, high) = self.posterior.nuisances, self.offset_interval_s
+        each = self.posterior.nuisances
+        (low, high) = self.offset_interval_s
         channels = self.posterior.target.log.channels
         biases = ", ".join(
             f"{value:.3g} {name.rpartition('_')[2].replace('Nm', 'N m')} along {name.split('_')[1]}"
@@ -250,7 +252,8 @@ def require_information(found: Identified, posterior: Posterior) -> None:
         With how large the forces and the noise are.
     """
     if found.is_empty:
-        target, noise = posterior.target, posterior.nuisances
+        target = posterior.target
+        noise = posterior.nuisances
         loads: Array = target.forward.loads(target.x(posterior.mean_z))
         forces = [at for at, name in enumerate(target.log.channels) if name.endswith("_N")]
         greatest = float(abs(loads[:, forces]).max())

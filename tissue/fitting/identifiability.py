@@ -25,7 +25,8 @@ BETTER = 0.5
 """Standard deviation of a combination over that of its best known constant, each over its prior's, that it is below."""
 BALANCED = 0.2
 """A weighted sum whose terms cancel to less than this share of their sizes has no powers: it is a difference."""
-DENSITY, EXPONENT = "density.", ".density_exponent"
+DENSITY = "density."
+EXPONENT = ".density_exponent"
 """What names of constants begin or end with that scale loads by a power."""
 
 
@@ -106,11 +107,13 @@ def identified(posterior: Posterior) -> Identified:
     A direction of z that the log determines is the slope of a weighted mean of the loads. That mean is what the log
     knows, also where the direction of z turns along the curve on which it stays the same.
     """
-    p, target = len(posterior.names), posterior.target
+    p = len(posterior.names)
+    target = posterior.target
     contraction = posterior.spreads
     _, moved = target.linearised(posterior.maximum)
     columns = target.whitened(moved, posterior.nuisances)
-    of_z, nuisances = columns[:, :p], columns[:, p:]
+    of_z = columns[:, :p]
+    nuisances = columns[:, p:]
     free = nuisances.T @ nuisances + np.eye(nuisances.shape[1])
     measured = of_z - nuisances @ np.linalg.solve(free, nuisances.T @ of_z)
     values, vectors = np.linalg.eigh(of_z.T @ measured)
@@ -131,7 +134,9 @@ def _combination(posterior: Posterior, mean: Array, direction: Array, informatio
 
     Constants that count for little are not named: what is not known of them widens the interval.
     """
-    target, noise, names = posterior.target, posterior.nuisances, posterior.names
+    target = posterior.target
+    noise = posterior.nuisances
+    names = posterior.names
     x = target.x(posterior.mean_z)
 
     def measure(constants: Array) -> float:
@@ -146,11 +151,14 @@ def _combination(posterior: Posterior, mean: Array, direction: Array, informatio
     direction = np.where(named, direction, 0.0)
     variance = float(direction @ posterior.covariance_z @ direction)
     linear = named & ~scales
-    total, size = float(terms[linear].sum()), float(np.abs(terms[linear]).sum())
+    total = float(terms[linear].sum())
+    size = float(np.abs(terms[linear]).sum())
     if not linear.any():
-        total, size = measure(x), abs(measure(x))
+        total = measure(x)
+        size = abs(measure(x))
     if abs(total) < BALANCED * size:
-        linear, scales = named, np.zeros_like(scales)
+        linear = named
+        scales = np.zeros_like(scales)
         total = float(terms[named].sum())
     sign = float(np.sign(total))
     powers = np.where(named & scales, terms / total, 0.0)
@@ -218,7 +226,8 @@ def expected_information(
     for label, forward in candidates:
         grown, axes = np.linalg.eigh(np.eye(len(now)) + root.T @ _information(posterior, forward) @ root)
         grown = np.maximum(grown, 1.0)
-        nats, after = 0.5 * float(np.log(grown).sum()), float(np.sum((root[at] @ axes) ** 2 / grown))
+        nats = 0.5 * float(np.log(grown).sum())
+        after = float(np.sum((root[at] @ axes) ** 2 / grown))
         gains.append(Gain(label, nats, posterior.names[at], float(np.sqrt(after / now[at, at]))))
     return sorted(gains, key=lambda each: -each.nats)
 
@@ -228,7 +237,8 @@ def _information(posterior: Posterior, forward: Forward) -> Array:
 
     A log at another rate than the measured one would have other noise: the candidate is taken at the measured rate.
     """
-    target, noise = posterior.target, posterior.nuisances
+    target = posterior.target
+    noise = posterior.nuisances
     rate_s = float(np.median(np.diff(target.log.times_s)))
     every = max(round(rate_s / float(np.median(np.diff(forward.times_s)))), 1)
     places = [forward.channels.index(name) for name in target.log.channels]

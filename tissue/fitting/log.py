@@ -91,7 +91,8 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
     InputError
         If a column is missing or holds what cannot be, times do not increase, or the log is too short.
     """
-    maps, found = parse_columns(columns), read_columns(path)
+    maps = parse_columns(columns)
+    found = read_columns(path)
     notes = []
     if "model_force_x_N" in found.names:
         for name in QUANTITIES:
@@ -207,9 +208,11 @@ def without_saturation(loads: Array, channels: tuple[str, ...]) -> tuple[Array, 
     channels
         Their names.
     """
-    kept, notes = loads.copy(), []
+    kept = loads.copy()
+    notes = []
     for at, name in enumerate(channels):
-        values, unit = loads[:, at], name.rpartition("_")[2].replace("Nm", "N m")
+        values = loads[:, at]
+        unit = name.rpartition("_")[2].replace("Nm", "N m")
         for extreme in _saturated(values):
             full = values == extreme
             kept[full, at] = np.nan
@@ -235,8 +238,10 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     new = np.concatenate([[0], np.flatnonzero(np.any(np.diff(tips_m, axis=0) != 0.0, axis=1)) + 1])
     if len(new) < PLATEAU:
         return []
-    times_s, tips_m = times_s[new], tips_m[new]
-    period_s, notes = float(np.median(np.diff(times_s))), []
+    times_s = times_s[new]
+    tips_m = tips_m[new]
+    period_s = float(np.median(np.diff(times_s)))
+    notes = []
     bend_m = float(np.linalg.norm(np.diff(tips_m, 2, axis=0), axis=1).max()) / 8.0
     noise_m = float(np.linalg.norm(1.4826 * np.median(np.abs(np.diff(tips_m, 3, axis=0)), axis=0))) / np.sqrt(20.0)
     if period_s > SLOWER * load_period_s and bend_m > CORNER_M:

@@ -53,13 +53,15 @@ class LogColumns:
             If a column that is mapped is not there, or holds no numbers.
         """
         values: dict[str, Array] = {}
-        used, notes = set[str](), list(self.notes)
+        used = set[str]()
+        notes = list(self.notes)
         for name, quantity in quantities.items():
             if name in maps:
                 column, factor, remark = maps[name].find(self.names)
                 notes += [remark] if remark else []
             elif name in self.names:
-                column, factor = name, quantity.factor
+                column = name
+                factor = quantity.factor
             else:
                 continue
             values[name] = factor * self.numbers(column)

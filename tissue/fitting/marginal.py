@@ -40,11 +40,13 @@ __all__ = ["Marginal", "log_density_at", "log_factor", "marginal"]
 STEPS = np.cumsum(0.4 * 1.25 ** np.arange(16))
 """Places of the grid to either side of the maximum, in standard deviations of the normal law there. The last one is 55
 away: the flat side of a constant can be many standard deviations wide."""
-WITHIN, ABOUT = np.linspace(0.05, 3.0, 60), np.linspace(0.25, 4.0, 16)
+WITHIN = np.linspace(0.05, 3.0, 60)
+ABOUT = np.linspace(0.25, 4.0, 16)
 """Places of the grid of the offset: in samples of the log, and in standard deviations of the normal law."""
 NEGLIGIBLE = 10.0
 """Fall of the log density that ends the grid."""
-STEEP, HALVINGS = 3.0, 4
+STEEP = 3.0
+HALVINGS = 4
 """Fall of the log density from one place of the grid to the next that is halved, and how often."""
 FINE = 20
 """Points of quadrature from one place of the grid to the next."""
@@ -55,10 +57,13 @@ END = float(0.5 * np.sqrt(2.0 * np.pi))
 """Probability of the end under the cut-off prior, over the density there under the normal one."""
 POINTS = 256
 """Points of the quasi-random integral: its error is below 1 % for three correlated constants."""
-MOST_STEPS, NEAR = 60, 0.01
+MOST_STEPS = 60
+NEAR = 0.01
 """Steps of least squares to the most probable others, many where a log knows combinations only, whose members lie on a
 curve; and twice the increase of the log density below which the search ends."""
-DAMPING, HARDER, EASIER = 0.1, 8.0, 0.2
+DAMPING = 0.1
+HARDER = 8.0
+EASIER = 0.2
 """Damping of a step that would lower the density, over the information of the priors, and its factors after another
 such step and after a good one (Levenberg 1944)."""
 

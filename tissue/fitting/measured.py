@@ -108,7 +108,8 @@ def block_averages(times_s: Array, values: Array, channels: tuple[str, ...], tic
     known = np.isfinite(values)
     sums = np.zeros((count, values.shape[1]))
     counts = np.zeros((count, values.shape[1]))
-    middles, seen = np.zeros(count), np.maximum(np.bincount(place, minlength=count), 1)
+    middles = np.zeros(count)
+    seen = np.maximum(np.bincount(place, minlength=count), 1)
     np.add.at(sums, place, np.where(known, values, 0.0))
     np.add.at(counts, place, known)
     np.add.at(middles, place, times_s)
@@ -154,16 +155,21 @@ def shift_operators(
     before, start, end, after = times_s[places].T
     width = end - start
     u = (asked - start) / width
-    slope_start, slope_end = width / (end - before), width / (after - start)
-    start_tangent, end_tangent = u * (1.0 - u) ** 2, u * u * (u - 1.0)
+    slope_start = width / (end - before)
+    slope_end = width / (after - start)
+    start_tangent = u * (1.0 - u) ** 2
+    end_tangent = u * u * (u - 1.0)
     blend = u * u * (3.0 - 2.0 * u)
     weights = _rows(1.0 - blend, blend, start_tangent * slope_start, end_tangent * slope_end)
     blend = 6.0 * u * (1.0 - u)
-    start_tangent, end_tangent = (1.0 - u) * (1.0 - 3.0 * u), u * (3.0 * u - 2.0)
+    start_tangent = (1.0 - u) * (1.0 - 3.0 * u)
+    end_tangent = u * (3.0 * u - 2.0)
     rates = _rows(-blend, blend, start_tangent * slope_start, end_tangent * slope_end)
     rates *= np.where(inside, -1.0 / width, 0.0)[:, None]
-    count, each = len(asked) // len(within_s), 4 * len(within_s)
-    shape, starts = (count, last + 1), np.arange(0, each * count + 1, each)
+    count = len(asked) // len(within_s)
+    each = 4 * len(within_s)
+    shape = (count, last + 1)
+    starts = np.arange(0, each * count + 1, each)
     return (
         csr_array((weights.ravel() / len(within_s), places.ravel(), starts), shape=shape),
         csr_array((rates.ravel() / len(within_s), places.ravel(), starts), shape=shape),

@@ -63,7 +63,8 @@ class OrganForward:
         x = np.asarray(x, dtype=float)
         if not self.moduli:
             return 1.0, x
-        first, others = self.moduli[0], list(self.moduli)
+        first = self.moduli[0]
+        others = list(self.moduli)
         scale = float(x[first] / self.at[first])
         same = x.copy()
         same[others] = x[others] / scale
@@ -82,7 +83,8 @@ class OrganForward:
         found = self._slopes_at(distance) / np.where(self._logarithmic, same, 1.0)
         if not self.moduli:
             return found
-        first, others = self.moduli[0], list(self.moduli[1:])
+        first = self.moduli[0]
+        others = list(self.moduli[1:])
         of_others = found[..., others] @ same[others]
         found *= scale
         found[..., others] /= scale
@@ -136,7 +138,8 @@ FIRST_STEP = 0.5
 """That to one side before anything is known."""
 SETTLED = 0.3
 """Distance of the most probable constants from those of the runs, in their standard deviations, at which they agree."""
-ROUNDS, TRIES = 3, 6
+ROUNDS = 3
+TRIES = 6
 """How often slopes are found, and how often a run follows what was found with them."""
 LEARNT = 0.1
 """Step of the constants, in standard deviations of their priors, from which slopes are corrected by it."""
@@ -199,7 +202,8 @@ def settled(
     slopes, until the two agree; then slopes are found there, over steps as wide as what is known.
     """
     at = np.array([float(each.prior.x(0.0)) for each in parameters])
-    spread, away = None, np.inf
+    spread = None
+    away = np.inf
     (base,) = runs([_named(parameters, at)])
     times_s = runs.poses.times_s[0] + EVERY * TICK_S * np.arange(len(base), dtype=np.float64)
     nothing = np.zeros((*base.shape, len(parameters)))

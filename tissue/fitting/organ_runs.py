@@ -34,7 +34,8 @@ from tissue.system.workers import worker_pool
 
 __all__ = ["KEYS", "PART", "OrganRuns", "Poses", "organ_parameters"]
 
-KEYS, PART = "organ.", "organ.parts."
+KEYS = "organ."
+PART = "organ.parts."
 """Beginning of the names of what is a key of the scene and no constant of a material, and of moduli of parts."""
 FRICTION = (0.25, 2.5)
 """5 and 95 % of friction between tool and organ, over the scene's: wet tissue on metal 0.1 to 0.6 (from memory of the
@@ -45,7 +46,8 @@ SHAPE = (0.4, 2.5)
 """Likewise of what gives a hyperelastic law its shape, of which none is cited for an organ: assumed."""
 SHAPES = ("second_share", "square_ratio", "cube_ratio", "exponent")
 """Keys of the organ that do so."""
-SHARE, NEAREST = "second_share", 0.1
+SHARE = "second_share"
+NEAREST = 0.1
 """The one of them that is a share, and the distance of its prior's 95 % quantile from 1, over that of the scene's
 value, at least: assumed. Limits of the others are those of input, and no bounds."""
 
@@ -82,7 +84,8 @@ def _stated(scene: Scene) -> list[Parameter]:
 
     What is 0 or negative stays as it is, and so does a share of 1: it has no range.
     """
-    organ, anatomy = scene.organ, scene.anatomy
+    organ = scene.organ
+    anatomy = scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
     parts = dict(organ.parts or {})
     procedural = isinstance(anatomy, SlabAnatomy) or getattr(anatomy, "file", None) is None
@@ -158,10 +161,13 @@ class OrganRuns:
     def __init__(
         self, scene: Scene, poses: Poses, channels: Sequence[str] = CHANNELS, *, every: int = 1, cores: int = 1
     ) -> None:
-        self.poses, self.count = poses, 0
-        self._run, self._cores = partial(_loads, scene, poses, tuple(channels), every), cores
+        self.poses = poses
+        self.count = 0
+        self._run = partial(_loads, scene, poses, tuple(channels), every)
+        self._cores = cores
         self._pool: Executor | None = None
-        self._ends, self._longest_s = ExitStack(), 0.0
+        self._ends = ExitStack()
+        self._longest_s = 0.0
 
     def __enter__(self) -> "OrganRuns":
         return self

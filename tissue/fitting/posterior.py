@@ -25,7 +25,8 @@ OFFSETS_S = OFFSET_S * np.concatenate([np.arange(-10.0, -3.0), np.linspace(-3.0,
 """Offsets from which the search begins [s]: a force may rise at several times, so that there are several maxima. Those
 beyond three standard deviations of the prior find clocks that contradict it."""
 STARTS = 2
-NEARBY, REFINED = np.linspace(-2.5, 2.5, 101), 3
+NEARBY = np.linspace(-2.5, 2.5, 101)
+REFINED = 3
 """Offsets about a maximum at which a higher one is looked for, in samples of the log, and how often."""
 FARTHEST = 12.0
 """Standard deviations of a prior beyond which nothing is looked for."""

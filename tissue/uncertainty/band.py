@@ -200,7 +200,8 @@ def band_of(
         where = Workers(workers or 1, scheduler, compute)
         return _rerun(scene, asked, seed, workers=where, cores=cores, report=report)
     reweighed = Reweighed(record_loads(scene, compute=compute, cores=cores, progress=progress))
-    ranges, record = reweighed.ranges, reweighed.record
+    ranges = reweighed.ranges
+    record = reweighed.record
     _require_ranges(ranges)
     report("reweighing the loads", 0.0)
     values = ranges.x(normals(rounded(asked), len(ranges.names), seed=seed))
@@ -219,7 +220,8 @@ def band_of(
 def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int | None, report: Progress) -> Band:
     """A band each of whose samples is a run of its own."""
     run = simulate(scene, compute=workers.compute, cores=cores, progress=report)
-    trace, is_linear = run.trace, not why_not_linear(scene)
+    trace = run.trace
+    is_linear = not why_not_linear(scene)
     if density_prior(run.parts.notes.get("density law", "")) is not None and is_linear:
         raise InputError(
             "each_run must be left out where the density of an image varies within its law's band, which a file of "
@@ -286,7 +288,8 @@ def require_same(band: Band, loads: Array) -> None:
             "run the scene again"
         )
     for first, columns in ((0, slice(0, 3)), (4, slice(3, 6))):
-        nominal, run = band.nominal[:, first : first + 3], loads[: len(band.times_s), columns]
+        nominal = band.nominal[:, first : first + 3]
+        run = loads[: len(band.times_s), columns]
         if np.abs(nominal - run).max(initial=0.0) > SAME * np.abs(run).max(initial=0.0):
             raise InputError(
                 "band must be of a run whose scene is as it was, got other loads from the same scene: run it again"

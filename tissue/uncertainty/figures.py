@@ -22,7 +22,9 @@ LOADS: tuple[Figure, ...] = tuple(
 """Figures that every run has, the first columns of a table; Sobol indices are of these."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
 """A measured number in the sentence of an event; a percentage is a threshold, by which two events differ."""
-PEAKS, STRESS, GREATEST = "_K", "von_mises_", "greatest_"
+PEAKS = "_K"
+STRESS = "von_mises_"
+GREATEST = "greatest_"
 """Ending of columns of a trace (temperatures), and begin of fields, whose greatest value is a figure; how it begins."""
 
 
@@ -32,7 +34,8 @@ def figures_of(run: Run) -> dict[Figure, float]:
     An event is named by its sentence without numbers, and counts the first time that it happens; what the machine was
     too slow for is none.
     """
-    summary, trace = run.summary, run.trace
+    summary = run.summary
+    trace = run.trace
     found: dict[Figure, float] = {name: summary[name[0]][name[1]] for name in LOADS}
     found |= {("removed_mm3", layer): volume for layer, volume in summary["removed_mm3"].items() if summary["cuts"]}
     found["contact_share",] = float((trace["contact_mm2"] > 0.0).mean())
@@ -169,5 +172,6 @@ def band_lines(band: Summary) -> Iterator[str]:
 
 
 def _between(ends: dict[str, float]) -> str:
-    low, high = f"{ends['p05']:.4g}", f"{ends['p95']:.4g}"
+    low = f"{ends['p05']:.4g}"
+    high = f"{ends['p95']:.4g}"
     return f"{low} to {high}" if low != high else f"{low}, the same to four digits"

@@ -57,11 +57,14 @@ def reruns(
             report(f"sample {number + 1} of {len(files)}", number / len(files))
             yield number, _outcome(scene, text, workers.compute)
         return
-    waiting, suspects, barren = list(range(len(files))), list[int](), 0
+    waiting = list(range(len(files)))
+    suspects = list[int]()
+    barren = 0
     while waiting or suspects:
         alone = not waiting
         numbers = [suspects.pop(0)] if alone else waiting
-        returned, given = set[int](), set[int]()
+        returned = set[int]()
+        given = set[int]()
         for number, outcome in _in_pool(scene, files, numbers, workers, report):
             if outcome is None:
                 given.add(number)
@@ -85,7 +88,8 @@ def _in_pool(
     """Outcomes of samples on one pool until it is lost; None of a sample as it is handed out."""
     most = 2 * min(workers.count, len(numbers)) if workers.scheduler is None else len(numbers)
     connected = False
-    fresh, running = iter(numbers), dict[Future[Outcome], int]()
+    fresh = iter(numbers)
+    running = dict[Future[Outcome], int]()
     try:
         with executor(min(workers.count, len(numbers)), workers.scheduler, patience_s=PATIENCE_S) as pool:
             connected = True
@@ -97,7 +101,8 @@ def _in_pool(
                     return
                 report(f"{len(running)} samples are running", min(running.values()) / len(files))
                 for future in first_done(pool, running, report):
-                    error, number = future.exception(), running[future]
+                    error = future.exception()
+                    number = running[future]
                     if isinstance(error, LOST):
                         raise error
                     del running[future]

@@ -70,7 +70,8 @@ class Reweighed:
     def figures(self, x: Array) -> Array:
         """`tissue.uncertainty.figures.LOADS` of samples, shape (samples, 4)."""
         weights = self.weights(x)
-        peak, sums = np.zeros((len(x), 2)), np.zeros((len(x), 2))
+        peak = np.zeros((len(x), 2))
+        sums = np.zeros((len(x), 2))
         for ticks, loads in self._blocks(weights):
             parts = loads.reshape(*loads.shape[:2], 2, 3)
             sizes = np.sqrt(np.einsum("sncd,sncd->snc", parts, parts))
@@ -98,7 +99,8 @@ class Reweighed:
 
 def with_sizes(loads: Array) -> Array:
     """`CHANNELS` of forces and torques, shape (..., 8) of (..., 6)."""
-    force, torque = loads[..., :3], loads[..., 3:]
+    force = loads[..., :3]
+    torque = loads[..., 3:]
     sizes = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (force, torque)]
     return np.concatenate([force, sizes[0], torque, sizes[1]], axis=-1)
 

@@ -20,7 +20,8 @@ from tissue.scene.used_constants import used_constants
 
 __all__ = ["LEAST", "MOST", "Ranges", "normals", "ranges_of", "rounded", "sample_name", "sample_text", "sampled"]
 
-LEAST, MOST = 16, 65536
+LEAST = 16
+MOST = 65536
 """Samples of a band: with fewer than 16 no sample lies outside 90 %."""
 
 

@@ -52,15 +52,19 @@ def sobol_indices(
     """
     width = sum(map(len, groups))
     both = normals(count, 2 * width, seed=seed)
-    first_rows, second_rows = both[:, :width], both[:, width:]
-    a, b = figures(first_rows), figures(second_rows)
+    first_rows = both[:, :width]
+    second_rows = both[:, width:]
+    a = figures(first_rows)
+    b = figures(second_rows)
     mixed = []
     for group in groups:
         rows = first_rows.copy()
         rows[:, group] = second_rows[:, group]
         mixed.append(figures(rows))
     middle = 0.5 * (a.mean(axis=0) + b.mean(axis=0))
-    a, b, c = a - middle, b - middle, np.stack(mixed) - middle
+    a = a - middle
+    b = b - middle
+    c = np.stack(mixed) - middle
     first, total = _indices(a, b, c)
     rng = np.random.default_rng(seed)
     drawn = [_indices(a[rows], b[rows], c[:, rows]) for rows in rng.integers(0, count, (DRAWS, count))]
@@ -78,7 +82,8 @@ def _indices(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
 LEAST_EXPLAINED = 0.8
 """Cross-validated share of a figure's variance below which a surrogate gives no indices."""
 RIDGES = 10.0 ** np.arange(-6, 3)
-FOLDS, REFITS = 8, 100
+FOLDS = 8
+REFITS = 100
 
 
 def surrogate_indices(
@@ -102,7 +107,8 @@ def surrogate_indices(
     basis = np.column_stack([_product(free, term) for term in terms])
     members = np.array([[any(at in group for at in term) for term in terms] for group in groups])
     alone = np.array([[all(at in group for at in term) for term in terms] for group in groups])
-    count, width = len(groups), figures.shape[1]
+    count = len(groups)
+    width = figures.shape[1]
     found = np.full((2, 3, count, width), np.nan)
     explained = np.full(width, np.nan)
     rng = np.random.default_rng(seed)
@@ -144,7 +150,8 @@ def _best(basis: Array, values: Array) -> tuple[float, float]:
     errors = np.zeros(len(RIDGES))
     for fold in range(FOLDS):
         seen = np.arange(len(values)) % FOLDS != fold
-        middle, mean = basis[seen].mean(axis=0), values[seen].mean()
+        middle = basis[seen].mean(axis=0)
+        mean = values[seen].mean()
         for at, ridge in enumerate(RIDGES):
             guess = mean + (basis[~seen] - middle) @ _fitted(basis[seen], values[seen], ridge)
             errors[at] += ((guess - values[~seen]) ** 2).sum()

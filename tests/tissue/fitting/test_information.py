@@ -31,7 +31,8 @@ def posterior():
     log = MeasuredLoads(TIMES_S, forward.loads(np.array([6.0, 3.0])) + rng.standard_normal((200, 1)), ("force_z_N",))
     target = Target(forward, log)
     u = np.zeros(target.size)
-    u[:2], u[5] = (0.3, -0.2), np.arctanh(PHI / MOST_CORRELATED) / CORRELATION_SPREAD
+    u[:2] = (0.3, -0.2)
+    u[5] = np.arctanh(PHI / MOST_CORRELATED) / CORRELATION_SPREAD
     root = 0.3 * rng.standard_normal((target.size, target.size))
     return Posterior(target, u, root @ root.T, converged=True)
 

@@ -32,7 +32,8 @@ def posterior(request):
 @pytest.fixture(scope="module")
 def summed(posterior):
     """Quantiles and spread of the number, offset and bias summed over by Gauss-Hermite points as well."""
-    target, u = posterior.target, posterior.maximum
+    target = posterior.target
+    u = posterior.maximum
     places = np.linspace(-5.0, 5.0, 101)
     points, weights = np.polynomial.hermite_e.hermegauss(9)
     offset_spread, bias_spread = np.sqrt(np.diag(posterior.covariance)[1:3])
@@ -58,7 +59,8 @@ def test_quantiles_and_spread(posterior, summed):
 
 def test_a_normal_law_would_call_a_hidden_constant_known(posterior, summed):
     """Where the load is in the noise, the normal law about the maximum is too narrow."""
-    laplace, spread = posterior.covariance[0, 0] ** 0.5, summed[1]
+    laplace = posterior.covariance[0, 0] ** 0.5
+    spread = summed[1]
     if posterior.maximum[0] < 1.5:
         assert laplace < 0.9 * spread
         assert identified(posterior).determined == ()
@@ -68,7 +70,8 @@ def test_a_normal_law_would_call_a_hidden_constant_known(posterior, summed):
 
 def test_constants_known_only_by_their_sum():
     """What is left of two ranges that span decades is the product of their laws along the line of the sum."""
-    priors, total = (Prior(0.01, 0.0, 0.1), Prior(0.03, 0.005, 0.2)), 0.06
+    priors = (Prior(0.01, 0.0, 0.1), Prior(0.03, 0.005, 0.2))
+    total = 0.06
     basis = np.sin(9.0 * TIMES_S)[:, None, None]
     names = [Parameter(f"cutting.bone.{name}_N_mm", prior) for name, prior in zip("ab", priors, strict=True)]
     forward = LinearForward(tuple(names), ("force_z_N",), TIMES_S, np.repeat(basis, 2, axis=2))
@@ -76,7 +79,8 @@ def test_constants_known_only_by_their_sum():
     posterior = maximum_posterior(forward, MeasuredLoads(TIMES_S, total * basis[:, :, 0] + noise, ("force_z_N",)))
     z = np.linspace(-8.0, 8.0, 200_001)
     first = priors[0].x(z)
-    z, first = z[first < total], first[first < total]
+    z = z[first < total]
+    first = first[first < total]
     other = priors[1].z(total - first)
     density = np.exp(-0.5 * (z**2 + other**2)) / priors[1].slope(other)
     whole = np.cumsum(density * np.gradient(z))
@@ -92,10 +96,13 @@ def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
     loads += 0.002 * np.abs(loads).max() * np.random.default_rng(1).standard_t(4, loads.shape)
     forward, log = forward.averaged_as(block_averages(forward.times_s, loads, forward.channels[:3], 5))
     posterior = maximum_posterior(forward, log)
-    target, maximum, covariance = posterior.target, posterior.maximum, posterior.covariance
+    target = posterior.target
+    maximum = posterior.maximum
+    covariance = posterior.covariance
     compared = 0
     for at in range(len(forward.parameters)):
-        top, spread = log_density_at(target, maximum, at)[0], covariance[at, at] ** 0.5
+        top = log_density_at(target, maximum, at)[0]
+        spread = covariance[at, at] ** 0.5
         for step in (-2.0 * spread, 2.0 * spread):
             along = log_density_at(target, maximum + step * covariance[:, at] / covariance[at, at], at)[0] - top
             straight = log_density_at(target, maximum + step * np.eye(target.size)[at], at)[0] - top

@@ -5,10 +5,9 @@ from matplotlib.figure import Figure
 
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, log_slope, shown, sweep
-from tissue.fem.outcome import SolverOutcome
+from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.models.tooth.body import INNER_STRENGTH, LEAST_FILL, ParticleBody
-from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.grid import HexGrid, ParticleSet
 from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["PAGE"]

@@ -9,9 +9,9 @@ from meshes.base.arrays import Array
 from meshes.tets.structured import box
 from tissue.evaluation.atlas.drawing import BLUE, GREEN, GREY, RED, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, error_of, refused, shown
+from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.newton import NewtonSolver
-from tissue.fem.outcome import SolverOutcome
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.load import load_scene

@@ -211,7 +211,7 @@ def _instants(scene: Scene, solver: "NewtonSolver", radius_m: float) -> Instants
 
 def _pressed(solver: "NewtonSolver", at: Instants, radius_m: float) -> tuple[Array, Array, Array]:
     """Force on the ball at each instant [N], its depth [m], and the time of a solve a tick later [us]."""
-    from tissue.fem.linear_limits import press_at
+    from tissue.fem.newton import press_at
 
     found = []
     for tip, direction, step in at:
