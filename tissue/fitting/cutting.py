@@ -1,6 +1,6 @@
 """Loads on a cutter along the poses of a log, for any cutting coefficients: the geometry is recorded once."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -185,7 +185,7 @@ def cutting_forward(
 
 
 def _free_constants(
-    scene: Scene, record: LoadRecord, free: Sequence[str], *, stated: Sequence[str]
+    scene: Scene, record: LoadRecord, free: Sequence[str], *, stated: Collection[str]
 ) -> tuple[FreeConstant, ...]:
     """Free constants of the layers that the tool met, see `cutting_forward`."""
     possible = []

@@ -216,7 +216,7 @@ def fit_scene(
     log
         What was measured, in the scene's frame.
     free
-        Constants that are free, see `tissue.fitting.cutting.free_constants`; nothing frees the usual ones.
+        Constants that are free, see `tissue.fitting.cutting.cutting_forward`; nothing frees the usual ones.
     cores
         Processor cores to use; default all.
     progress

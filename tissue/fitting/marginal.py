@@ -151,7 +151,8 @@ def log_density_at(target: Target, u: Array, at: int) -> tuple[float, Array]:
     log_density -= 0.5 * float(np.linalg.slogdet(information)[1])
     bounded = np.flatnonzero(np.isin(others, np.flatnonzero(target.sides)))
     sides = target.sides[others[bounded]]
-    covariance = np.linalg.inv(information)[np.ix_(bounded, bounded)] * np.outer(sides, sides)
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)[np.ix_(bounded, bounded)]
+    covariance = covariance * np.outer(sides, sides)
     return log_density + log_factor(sides * u[others[bounded]], covariance), u
 
 

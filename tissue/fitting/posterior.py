@@ -142,7 +142,8 @@ def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     place = best[1]
     for _ in range(RESTRICTED):
         place = climbed(Restricted(target, place), place)[1]
-    return Posterior(target, *_scored(Restricted(target, place), place))
+    maximum, information, converged = _scored(Restricted(target, place), place)
+    return Posterior(target, maximum, np.asarray(np.linalg.inv(information), dtype=np.float64), converged)
 
 
 def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
@@ -183,24 +184,24 @@ def starts(target: Target) -> list[tuple[float, Array]]:
 
 
 def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
-    """The maximum near a place by Fisher's scoring, the inverse of the information there, and whether it was found."""
+    """The maximum near a place by Fisher's scoring, the information there, and whether it was found."""
     value, gradient = target.value_and_gradient(u)
     for _ in range(SCORING_STEPS):
         information = target.information(u)
         step = np.linalg.solve(information, gradient)
         gain = float(gradient @ step)
         if gain < STEEP:
-            return u, np.linalg.inv(information), True
+            return u, information, True
         for share in SHORTER:
             tried, there = target.value_and_gradient(u + share * step)
             if tried > value:
                 break
         else:
-            return u, np.linalg.inv(information), False
+            return u, information, False
         u = u + share * step
         value = tried
         gradient = there
-    return u, np.linalg.inv(information), False
+    return u, information, False
 
 
 @dataclass(frozen=True, eq=False)

@@ -148,7 +148,6 @@ def _restrained(grid: HexGrid, nodes: NDArray[np.integer], held: NDArray[np.bool
     return bool(values[0] > LEAST_RESTRAINT * values[-1])
 
 
-Array = NDArray[np.float64]
 INNER_STRENGTH = 0.1
 """Least that leaves no cell singular at an error next to that of no stabilisation (table of test_tooth_sphere.py)."""
 LEAST_FILL = 1e-3
