@@ -13,11 +13,9 @@ from scipy.sparse.linalg import splu
 from meshes.organs.liver import liver, liver_region
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
-from tissue.fem.solvers.direct import factorised
-from tissue.fem.solvers.dissection import dissected
+from tissue.fem.solvers.direct import SuperLUFactor, dissected, factorised
 from tissue.fem.solvers.held_body import HeldBody, held_nodes, pointwise_graph
 from tissue.fem.solvers.multifrontal import Multifrontal
-from tissue.fem.solvers.superlu import SuperLUFactor
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 

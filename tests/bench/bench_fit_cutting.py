@@ -29,12 +29,11 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from scipy.signal import lfilter  # noqa: E402
 
-from tissue.fitting.averaged import block_averages  # noqa: E402
 from tissue.fitting.cutting import CuttingForward, cutting_forward  # noqa: E402
+from tissue.fitting.forward import Parameter  # noqa: E402
 from tissue.fitting.identifiability import identified  # noqa: E402
-from tissue.fitting.marginal import Marginal, marginal  # noqa: E402
-from tissue.fitting.parameter import Parameter  # noqa: E402
-from tissue.fitting.posterior import Posterior, maximum_posterior  # noqa: E402
+from tissue.fitting.measured import block_averages  # noqa: E402
+from tissue.fitting.posterior import maximum_posterior  # noqa: E402
 from tissue.fitting.target import OFFSET_S  # noqa: E402
 from tissue.scene.load import load_scene  # noqa: E402
 
@@ -70,11 +69,6 @@ BIAS, CORRELATION = 0.1, 0.9
 """Scale of the bias in the same shares, and correlation of the noise from one millisecond to the next."""
 FREEDOM = 4.0
 """Degrees of freedom of what the noise adds in a millisecond."""
-OFFSETS = 4
-"""Every how many logs the interval of the offset is computed, which takes as long as the fit."""
-UNKNOWN = 0.8
-"""Standard deviation of a constant in the normal approximation, over that of its prior, above which its interval is not
-summed numerically, to save time."""
 
 
 @cache
@@ -101,14 +95,6 @@ def planted(parameters: Sequence[Parameter], truth: str, rng: np.random.Generato
     return np.where(sides * z < 0.0, 0.0, z)
 
 
-def law(posterior: Posterior, at: int) -> Marginal:
-    """The law of a constant: as a fit has it, or normal where the log knows so little that no fit calls it determined."""
-    spread = float(np.sqrt(posterior.covariance[at, at]))
-    if spread < UNKNOWN:
-        return marginal(posterior.target, posterior.maximum, posterior.covariance, at)
-    return Marginal(posterior.maximum[at] + spread * np.array([-1.645, 0.0, 1.645]), spread)
-
-
 def one(task: tuple[str, int, str, bool]) -> tuple[list[tuple[str, bool]], bool, float]:
     """Fit one log; return what held what was planted, whether the fit converged, and its processor time [s]."""
     kind, seed, truth, normal = task
@@ -126,15 +112,13 @@ def one(task: tuple[str, int, str, bool]) -> tuple[list[tuple[str, bool]], bool,
     log = replace(block_averages(whole.times_s, measured, whole.channels, BLOCK), within_s=(0.0,))
     start = process_time()
     posterior = maximum_posterior(forward, log)
-    posterior.__dict__["marginals"] = tuple(law(posterior, at) for at in range(len(z)))  # in place of all by quadrature
     result = identified(posterior)
     took = process_time() - start
     true = {name: float(prior.x(at)) for name, prior, at in zip(posterior.names, priors, z, strict=True)}
     sides = {each.name: each.side for each in forward.parameters}
     held = []
-    if seed % OFFSETS == 0:
-        low, high = posterior.offset_interval_s
-        held.append(("offset", low <= offset_s <= high))
+    low, high = posterior.offset_interval_s
+    held.append(("offset", low <= offset_s <= high))
     for name in result.determined:
         low, _, high = posterior.interval(posterior.names.index(name))
         what = "constant at an end" if sides[name] else "constant"

@@ -18,7 +18,7 @@ from tooth_bodies import at_bottom, block
 
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.compliance import rigid_motions
-from tissue.models.tooth.stress import particle_stress
+from tissue.models.tooth.recovery import particle_stress
 
 SIDE_M, BALL_M, FEED_M, TOLERANCE = 8e-3, 0.5e-3, 2e-5, 1e-4
 

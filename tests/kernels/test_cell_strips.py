@@ -7,7 +7,7 @@ from tooth_bodies import at_bottom, block, dense_stiffness, lattice, ragged_bloc
 
 from kernels.cell_strips import LANES
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.grid import ParticleSet
 from tissue.models.tooth.strips import LaneVector, StripLayout, StripProduct
 
 DOUBLE, SINGLE = 1e-13, 2e-6

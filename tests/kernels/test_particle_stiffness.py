@@ -6,8 +6,7 @@ from tooth_bodies import GAUSS, at_bottom, block
 
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.compliance import rigid_motions
-from tissue.models.tooth.grid import HexGrid, shape_values
-from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.grid import HexGrid, ParticleSet, shape_values
 from tissue.models.tooth.stiffness import CellStiffness, full_cell_stiffness, strain_matrix
 from tissue.models.tooth.supports import NodeSupports, PointSprings
 

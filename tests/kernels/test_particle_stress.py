@@ -8,7 +8,7 @@ from tooth_bodies import block
 
 from kernels.particle_stress import principal_values
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.stress import particle_stress, stress_invariants
+from tissue.models.tooth.recovery import particle_stress, stress_invariants
 from tissue.models.tooth.supports import NodeSupports
 
 

@@ -24,7 +24,7 @@ from tissue.models.bone.model import BoneModel
 from tissue.models.organ.probe import ShellProbe
 from tissue.models.tissue_model import ToolMotion
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.stress import particle_stress
+from tissue.models.tooth.recovery import particle_stress
 
 
 def whole_and_in_parts(run, monkeypatch):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from falling_sheet import falling_sheet
 
-from tissue.models.organ.contact import SurfaceContact
-from tissue.models.organ.contact_result import ContactOutcome
+from tissue.models.organ.contact import ContactOutcome, SurfaceContact
 from tissue.models.organ.probe import SphereProbe
 
 TOLERANCE = 1e-9

@@ -5,8 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import erfc, k0
 
-from tissue.models.tooth.heat import Conduction
-from tissue.models.tooth.heat_grid import HeatGrid
+from tissue.models.tooth.heat import Conduction, HeatGrid
 
 CONDUCTIVITY, CAPACITY = 0.6, 3.4e6  # of the order of dentin [W/(m K)], [J/(m3 K)]
 DIFFUSIVITY = CONDUCTIVITY / CAPACITY

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from pressed_part import pressed
 
-from tissue.models.organ.contact import SurfaceContact
-from tissue.models.organ.contact_result import ContactOutcome
+from tissue.models.organ.contact import ContactOutcome, SurfaceContact
 from tissue.models.organ.probe import ShellProbe, SphereProbe
 
 YOUNG_PA = 5e3

@@ -13,10 +13,9 @@ from meshes.tets.regions import nodes_facing
 from meshes.tets.structured import box, graded, grid
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
+from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.newton import NewtonSolver
-from tissue.fem.obstacle import RigidSphere
-from tissue.fem.outcome import SolverOutcome
+from tissue.fem.newton import NewtonSolver, RigidSphere
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 

@@ -5,7 +5,7 @@ import pytest
 from tooth_bodies import block, lattice
 
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.stress import particle_stress
+from tissue.models.tooth.recovery import particle_stress
 from tissue.models.tooth.supports import NodeSupports
 
 

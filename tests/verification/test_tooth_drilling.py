@@ -13,8 +13,8 @@ from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
 from tissue.models.tooth import stress_process
 from tissue.models.tooth.field import TOOTH, StressField
+from tissue.models.tooth.grid import FULL_STEPS
 from tissue.models.tooth.model import ToothModel
-from tissue.models.tooth.particles import FULL_STEPS
 
 MM = 1e-3
 SPACING_M = 0.05 * MM

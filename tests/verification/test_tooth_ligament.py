@@ -7,9 +7,8 @@ from tooth_bodies import block
 
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.compliance import support_compliance
-from tissue.models.tooth.grid import HexGrid
+from tissue.models.tooth.grid import HexGrid, ParticleSet
 from tissue.models.tooth.ligament import bed_springs, bed_stiffness
-from tissue.models.tooth.particles import ParticleSet
 from tissue.models.tooth.supports import NodeSupports
 
 MM = 1e-3

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.grid import HexGrid, ParticleSet
 from tissue.models.tooth.supports import NodeSupports
 
 LAYERS = ("Enamel", "Dentin", "Pulp", "PDL")

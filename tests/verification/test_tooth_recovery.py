@@ -9,8 +9,7 @@ from hollow_sphere import INNER, OUTER, exact_stress, pressure_load, sphere
 from tooth_bodies import block, lattice, on_boundary, slope
 
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.recovery import StressRecovery, ball_weight
-from tissue.models.tooth.stress import particle_stress
+from tissue.models.tooth.recovery import StressRecovery, ball_weight, particle_stress
 from tissue.models.tooth.supports import NodeSupports
 
 REACH = 0.35

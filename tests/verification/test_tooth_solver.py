@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from tooth_bodies import at_bottom, block, lattice
 
-from tissue.fem.outcome import SolverOutcome
-from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.solver import solve_cells
-from tissue.models.tooth.stress import particle_stress, stress_invariants
+from tissue.fem.conjugate_gradients import SolverOutcome
+from tissue.models.tooth.body import ParticleBody, solve_cells
+from tissue.models.tooth.grid import HexGrid, ParticleSet
+from tissue.models.tooth.recovery import particle_stress, stress_invariants
 from tissue.models.tooth.supports import NodeSupports
 
 EDGE = 8e-3

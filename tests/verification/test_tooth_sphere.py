@@ -5,7 +5,7 @@ import pytest
 from hollow_sphere import ENERGY, INNER, MODULUS, OUTER, PRESSURE, RATIO, exact_stress, pressure_load, sphere
 from tooth_bodies import slope
 
-from tissue.models.tooth.stress import particle_stress
+from tissue.models.tooth.recovery import particle_stress
 
 
 def energy_norm(stress, weights):

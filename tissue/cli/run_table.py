@@ -44,7 +44,7 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     for name, note in summary["notes"].items():
         console.print(f"{name}: {note}")
     if band is not None:
-        from tissue.uncertainty.sentences import band_lines
+        from tissue.uncertainty.figures import band_lines
 
         for line in band_lines(band):
             console.print(f"band: {line}")

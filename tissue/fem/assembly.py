@@ -37,7 +37,8 @@ def assemble(space: Space, elasticity: ArrayLike) -> bsr_array:
         If the elasticity has another shape or is not positive definite.
     """
     rows = elasticity_rows(elasticity, space.cell_count)
-    device, pattern = space.device, space.pattern
+    device = space.device
+    pattern = space.pattern
 
     def on(values: NDArray[np.generic], dtype: type) -> wp.array[object]:
         return wp.array(values, dtype=dtype, device=device, copy=False)

@@ -1,14 +1,56 @@
-"""Preconditioned conjugate gradients that return how they ended; when to stop is the caller's."""
+"""Preconditioned conjugate gradients, and the outcome of a solve."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
 
 from meshes.base.arrays import Array
-from tissue.fem.outcome import Solution, SolverOutcome
 
-__all__ = ["Iterate", "IterativeSolution", "conjugate_gradients", "dot"]
+__all__ = ["Iterate", "IterativeSolution", "Solution", "SolverOutcome", "conjugate_gradients", "dot"]
+
+
+class SolverOutcome(Enum):
+    """How a solve ended; the value holds the cause and the remedy."""
+
+    CONVERGED = "the displacement holds to the tolerance"
+    NOT_CONVERGED = "the iterations ran out: allow more, loosen the tolerance, or take smaller steps"
+    INACCURATE = "rounding is too large: mend sliver cells, or lower the contrast of moduli"
+    INDEFINITE = "the stiffness is not positive definite: check moduli, Poisson's ratio, sliver cells and loose parts"
+    OUTSIDE_BASIS = "the basis does not hold this load to the tolerance: take more modes, or another solver"
+    INVERTED = "the held nodes turn cells over: move them in smaller steps"
+    STALLED = "no step lowers the energy, cells are about to turn over: press less deep, or use the neo-Hookean law"
+    UNSUPPORTED = "nothing holds the body: fix nodes that carry load, or give them springs"
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Displacement and how it was reached.
+
+    Attributes
+    ----------
+    displacement_m
+        Nodal displacements [m], shape (n, 3); the last iterate where the outcome is not CONVERGED.
+    outcome
+        How the solve ended.
+    iterations
+        Iterations; 0 where the path does not iterate.
+    residual
+        Norm of ``f - K u`` over the free components, relative to that of f. For a reduced basis the relative error in
+        the energy norm instead: what it leaves out moves little and weighs much in f.
+    """
+
+    displacement_m: Array
+    outcome: SolverOutcome
+    iterations: int
+    residual: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the displacement may be used."""
+        return self.outcome is SolverOutcome.CONVERGED
+
 
 LEAST_SHARE = 1e-13
 """Residuals below this share of the load are rounding."""
@@ -90,10 +132,13 @@ def conjugate_gradients(
         return IterativeSolution(np.zeros_like(load), SolverOutcome.CONVERGED, 0, residual=0.0, error=0.0)
     found = np.zeros_like(load) if start is None else start
     now = Iterate(found, load - product(found) if found.any() else load)
-    before, direction, estimate = now.residual, np.zeros_like(load), np.inf
+    before = now.residual
+    direction = np.zeros_like(load)
+    estimate = np.inf
     while True:
         corrected = precondition(now.residual)
-        slope, left = dot(now.residual, corrected), float(np.sqrt(dot(now.residual, now.residual)) / norm)
+        slope = dot(now.residual, corrected)
+        left = float(np.sqrt(dot(now.residual, now.residual)) / norm)
         outcome = SolverOutcome.INDEFINITE
         if not np.isfinite(slope) or slope < 0.0:
             break
@@ -117,7 +162,8 @@ def conjugate_gradients(
         now.factors.append(factor)
         now.lengths.append(length)
         now.found = now.found + length * direction
-        before, now.residual = now.residual, now.residual - length * along
+        before = now.residual
+        now.residual = now.residual - length * along
     return IterativeSolution(now.found, outcome, len(now.lengths), residual=left, error=estimate)
 
 

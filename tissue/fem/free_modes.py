@@ -61,9 +61,11 @@ def _reduced(rows: Array) -> Array:
 
 def _named(rows: Array, centre: Array, size: float) -> list[str]:
     """Words for motions given as rotation and translation of the scaled body, rotations first."""
-    turns, slides = [], []
+    turns = []
+    slides = []
     for row in rows:
-        turn, shift = row[:3], row[3:]
+        turn = row[:3]
+        shift = row[3:]
         if np.abs(turn).max() < STRAIGHT:
             slides.append(f"translation along {_direction(shift)}")
             continue

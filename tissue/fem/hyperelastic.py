@@ -56,8 +56,10 @@ class NonlinearBody:
     def __init__(
         self, space: Space, lame_Pa: ArrayLike | None, *, law: Law | Hyperelastic, cell_factors: Array | None = None
     ) -> None:
-        self.space, self.law = space, law
-        self.nodes_m, device = space.nodes_m, space.device
+        self.space = space
+        self.law = law
+        self.nodes_m = space.nodes_m
+        device = space.device
         count, width = space.cell_nodes.shape
         at = gauss_points(space.order)
         reference = np.einsum("aci,qi->qac", gradient_slopes(4, space.order), at)
@@ -77,12 +79,16 @@ class NonlinearBody:
             return SplitLaunch(kernel, dim=dim, inputs=[*inputs, 0], outputs=outputs, offset_index=index, device=device)
 
         self._displacement = out(space.node_count, wp.vec3d)
-        self._energy, self._force = out(count, wp.float64), out(space.node_count, wp.vec3d)
+        self._energy = out(count, wp.float64)
+        self._force = out(space.node_count, wp.vec3d)
         self._blocks = out(len(pattern.column), wp.mat33d)
-        shares, squares = out((count, width), wp.vec3d), out((count, len(first)), wp.mat33d)
-        force, stiffness = tet_nonlinear.tet_force, tet_nonlinear.tet_stiffness
+        shares = out((count, width), wp.vec3d)
+        squares = out((count, len(first)), wp.mat33d)
+        force = tet_nonlinear.tet_force
+        stiffness = tet_nonlinear.tet_stiffness
         if isinstance(law, Hyperelastic):
-            force, stiffness = tet_hyperelastic.stretch_force, tet_hyperelastic.stretch_stiffness
+            force = tet_hyperelastic.stretch_force
+            stiffness = tet_hyperelastic.stretch_stiffness
         constants = [
             put(part, wp.float64) if isinstance(part, np.ndarray) else part
             for part in _constants(lame_Pa, law, count, cell_factors)
@@ -115,7 +121,8 @@ class NonlinearBody:
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._stiffness_launches:
             run()
-        pattern, size = self.space.pattern, self.space.unknown_count
+        pattern = self.space.pattern
+        size = self.space.unknown_count
         return bsr_array((self._blocks.numpy().copy(), pattern.column, pattern.row_start), shape=(size, size))
 
 

@@ -4,6 +4,11 @@ Each Newton step solves with the tangent by conjugate gradients, preconditioned 
 rest, and stops at a direction of negative curvature (Steihaug 1983, SIAM J. Numer. Anal. 20:626): the direction always
 lowers the energy. The step is halved until energy and slope fall; a step that turns a cell over has infinite energy
 and is never taken. A sphere's multipliers are corrected between such solves.
+
+The sphere is rigid and without friction. It enters as an augmented Lagrangian on the surface nodes (Simo and Laursen
+1992, Comput. Struct. 42:97): with g how deep a node lies in the sphere, k a penalty and p a multiplier [N], the energy
+is ``sum (max(0, p + k g)^2 - p^2) / 2 k``, and after each equilibrium ``p <- max(0, p + k g)``. At the end g <= 0 where
+p = 0 and g = 0 where p > 0, whatever the penalty.
 """
 
 from collections.abc import Callable
@@ -13,16 +18,86 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import bsr_array
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive
-from tissue.fem.conjugate_gradients import conjugate_gradients
+from tissue.fem.conjugate_gradients import Solution, SolverOutcome, conjugate_gradients
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.obstacle import RigidSphere
-from tissue.fem.outcome import Solution, SolverOutcome
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 
-__all__ = ["NewtonSolution", "NewtonSolver"]
+__all__ = ["LONGEST", "NODES", "NewtonSolution", "NewtonSolver", "RigidSphere", "press_at", "resting_sphere"]
+
+
+class RigidSphere:
+    """Sphere against the nodes of a surface.
+
+    Parameters
+    ----------
+    nodes
+        Nodes that may touch it, shape (s,).
+    penalty_N_m
+        Penalty of each of them [N/m], shape (s,); ten times their own stiffness is a good one.
+    radius_m
+        Radius [m].
+    centre_m
+        Centre [m], shape (3,).
+    tolerance
+        Depth of a node, or gap of a pressed one, that is allowed at the end, over the radius.
+
+    Raises
+    ------
+    InputError
+        If the radius or the tolerance is not positive.
+    """
+
+    def __init__(
+        self, nodes: Ints, penalty_N_m: Array, *, radius_m: float, centre_m: Array,
+        tolerance: float = 1e-6,
+    ) -> None:  # fmt: skip
+        self.nodes = nodes
+        self.radius_m = require_positive("radius_m", radius_m, "use 0.01")
+        self._penalty = penalty_N_m
+        self._tolerance_m = self.radius_m * require_positive("tolerance", tolerance, "use 1e-6")
+        self._multiplier = np.zeros(len(nodes))
+        self.move_to(centre_m)
+
+    def move_to(self, centre_m: Array) -> None:
+        """Put the centre here [m], shape (3,); multipliers stay, as a first guess."""
+        self.centre_m = centre_m
+
+    def energy_and_force(self, positions_m: Array) -> tuple[float, Array]:
+        """Energy [J], and its derivative by the positions of ``nodes`` [N], shape (s, 3)."""
+        pressed, outward, _ = self._pressed(positions_m)
+        energy = 0.5 * np.sum((pressed**2 - self._multiplier**2) / self._penalty)
+        return float(energy), -pressed[:, None] * outward
+
+    def blocks(self, positions_m: Array) -> Array:
+        """Second derivative of the energy for each of ``nodes`` [N/m], shape (s, 3, 3)."""
+        pressed, outward, distance = self._pressed(positions_m)
+        along = outward[:, :, None] * outward[:, None]
+        stiff = np.where(pressed > 0.0, self._penalty, 0.0)
+        return stiff[:, None, None] * along - (pressed / distance)[:, None, None] * (np.eye(3) - along)
+
+    def force_N(self, positions_m: Array) -> Array:
+        """Force of the body on the sphere [N], shape (3,)."""
+        return self.energy_and_force(positions_m)[1].sum(axis=0)
+
+    def settled(self, positions_m: Array) -> bool:
+        """Whether the nodes lie as they must to the tolerance; if not, correct the multipliers."""
+        pressed, _, distance = self._pressed(positions_m)
+        violation = np.maximum(self.radius_m - distance, -self._multiplier / self._penalty)
+        if np.abs(violation).max() <= self._tolerance_m:
+            return True
+        self._multiplier = pressed
+        return False
+
+    def _pressed(self, positions_m: Array) -> tuple[Array, Array, Array]:
+        """Force on each node [N], direction away from the centre, distance from it [m]."""
+        from_centre = positions_m[self.nodes] - self.centre_m
+        distance = np.maximum(np.linalg.norm(from_centre, axis=1), 1e-3 * self.radius_m)
+        pressed = np.maximum(0.0, self._multiplier + self._penalty * (self.radius_m - distance))
+        return pressed, from_centre / distance[:, None], distance
+
 
 HALVINGS = 30
 ARMIJO = 1e-4
@@ -88,7 +163,8 @@ class NewtonSolver:
                 f"held must mark components of shape {body.nodes_m.shape}, got {int(held.sum())} of {held.shape}: "
                 "hold a face"
             )
-        self.body, self.held = body, held
+        self.body = body
+        self.held = held
         self._tolerance = require_positive("tolerance", tolerance, "use 1e-8")
         self._step_limit = step_limit
         self._free = np.flatnonzero(~held.ravel())
@@ -170,16 +246,20 @@ class NewtonSolver:
                 share *= 0.5
             else:
                 return now, SolverOutcome.STALLED, residual, step_count
-            now, (energy, size, slope) = trial, there
+            now = trial
+            (energy, size, slope) = there
         return now, SolverOutcome.NOT_CONVERGED, residual, self._step_limit
 
     def _state(self, displacement: Array, sphere: RigidSphere | None) -> tuple[float, float, Array]:
         """Energy [J], largest force in the body [N], and the energy's derivative, zero where held [N]."""
         energy, force = self.body.energy_and_force(displacement)
-        size, slope = np.abs(force).max(), force
+        size = np.abs(force).max()
+        slope = force
         if sphere is not None and np.isfinite(energy):
             extra, push = sphere.energy_and_force(self.body.nodes_m + displacement)
-            energy, size, slope = energy + extra, max(size, np.abs(push).max()), force.copy()
+            energy = energy + extra
+            size = max(size, np.abs(push).max())
+            slope = force.copy()
             slope[sphere.nodes] += push
         return energy, float(size), np.where(self.held, 0.0, slope)
 
@@ -194,7 +274,8 @@ class NewtonSolver:
 
     def _direction(self, whole: bsr_array, load: Array, accuracy: float) -> Array:
         """Conjugate gradients for the free components, ended early at negative curvature."""
-        free, full = self._free, np.zeros(self.held.size)
+        free = self._free
+        full = np.zeros(self.held.size)
 
         def product(step: Array) -> Array:
             full[free] = step
@@ -213,3 +294,71 @@ def _at_rest(body: HeldBody) -> Callable[[Array], Array]:
     """Displacements of the free components by the stiffness at rest."""
     solver = DirectSolver(body)
     return lambda force: solver.solve(body.whole(force)).displacement_m.ravel()[body.free]
+
+
+STIFFER = 10.0
+"""Penalty of a surface node over its own stiffness."""
+NODES = 1e-5
+"""How far a node may be off the sphere, over its radius."""
+LONGEST = 0.3
+"""Longest step of the sphere over its radius."""
+
+
+def press_at(
+    solver: NewtonSolver, tip_m: Array, direction: Array, *, radius_m: float, tolerance: float = NODES
+) -> tuple[NewtonSolution, RigidSphere, float]:
+    """Equilibrium with a rigid sphere that comes straight to its place, the body being at rest before.
+
+    Parameters
+    ----------
+    solver
+        Solver of the body.
+    tip_m, direction
+        Foremost point of the sphere at its place [m], and the unit direction that it comes along, shapes (3,).
+    radius_m
+        Radius of the sphere [m].
+    tolerance
+        Depth of a node in the sphere that is allowed, over the radius.
+
+    Returns
+    -------
+    The equilibrium, the first that did not converge if one does not; the sphere; its path from the first touch [m],
+    not positive where it does not reach the body.
+
+    Raises
+    ------
+    InputError
+        If the radius is not positive or no node of the surface lies in the sphere's path.
+    """
+    sphere, touching = resting_sphere(solver, tip_m, direction, radius_m, tolerance)
+    depth = -radius_m - touching
+    now = None
+    for stop in np.linspace(touching, -radius_m, 2 + max(0, int(depth / (LONGEST * radius_m))))[1:]:
+        sphere.move_to(tip_m + stop * direction)
+        solution = solver.solve(sphere=sphere, start_m=now)
+        if not solution.converged:
+            break
+        now = solution.displacement_m
+    return solution, sphere, depth
+
+
+def resting_sphere(
+    solver: NewtonSolver, point_m: Array, direction: Array, radius_m: float, tolerance: float
+) -> tuple[RigidSphere, float]:
+    """A sphere aimed at a point [m] where it first touches a node, and how far beyond the point its centre is [m]."""
+    radius = require_positive("radius_m", radius_m, "use 0.01")
+    body = solver.body
+    surface = np.unique(body.space.faces)
+    offset = body.nodes_m[surface] - point_m
+    near = np.linalg.norm(offset, axis=1) < 3.0 * radius
+    surface = surface[near]
+    offset = offset[near]
+    along = offset @ direction
+    aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
+    inside = aside < radius
+    if not inside.any():
+        raise InputError(f"point_m must lie on the surface, got {point_m}: no node of it is in the sphere's path")
+    touching = float((along[inside] - np.sqrt(radius**2 - aside[inside] ** 2)).min())
+    penalty = STIFFER * solver.rest_diagonal.reshape(-1, 3)[surface].mean(axis=1)
+    centre = point_m + touching * direction
+    return RigidSphere(surface, penalty, radius_m=radius, centre_m=centre, tolerance=tolerance), touching

@@ -50,14 +50,18 @@ class Pattern:
         """Pattern of cells with the nodes `cell_nodes`, shape (m, k)."""
         a, b = local_pairs(cell_nodes.shape[1]).T
         nodes = cell_nodes.astype(np.int32)
-        first, second = nodes[:, a].ravel(), nodes[:, b].ravel()
+        first = nodes[:, a].ravel()
+        second = nodes[:, b].ravel()
         flipped = first > second
-        low, high = np.where(flipped, second, first), np.where(flipped, first, second)
+        low = np.where(flipped, second, first)
+        high = np.where(flipped, first, second)
         order, start = grouped(low, high, node_count)
         lead = order[start[:-1]]
-        low, high = low[lead], high[lead]
+        low = low[lead]
+        high = high[lead]
         below = high != low
-        upper, lower = np.bincount(low, minlength=node_count), np.bincount(high[below], minlength=node_count)
+        upper = np.bincount(low, minlength=node_count)
+        lower = np.bincount(high[below], minlength=node_count)
         row_start = np.concatenate([[0], np.cumsum(upper + lower)])
         rank = np.arange(len(low))
         place = row_start[low] + lower[low] + rank - (np.cumsum(upper) - upper)[low]
@@ -65,7 +69,8 @@ class Pattern:
         mirror = place.copy()
         mirror[turned] = row_start[high[turned]] + np.arange(len(turned)) - (np.cumsum(lower) - lower)[high[turned]]
         column = np.empty(row_start[-1], dtype=np.int32)
-        column[place], column[mirror] = high, low
+        column[place] = high
+        column[mirror] = low
         contribution = np.where(flipped[order], ~order, order)
         return cls(*(part.astype(np.int32) for part in (row_start, column, start, contribution, place, mirror)))
 
@@ -79,7 +84,8 @@ def grouped(first: Integers, second: Integers, count: int) -> tuple[Integers, In
     """Order that sorts pairs of numbers below `count` stably, and where each new pair starts in it, shape (p + 1,)."""
     every = np.arange(len(first), dtype=np.int32)
     order = _sorted_by(first, _sorted_by(second, every, count), count)
-    ordered_first, ordered_second = first[order], second[order]
+    ordered_first = first[order]
+    ordered_second = second[order]
     new = np.ones(len(order) + 1, dtype=bool)
     new[1:-1] = (ordered_first[1:] != ordered_first[:-1]) | (ordered_second[1:] != ordered_second[:-1])
     return order, np.flatnonzero(new)

@@ -26,7 +26,8 @@ __all__ = ["Followed", "QuasiNewton", "Springs"]
 MEMORY = 12
 """Steps whose curvature is kept."""
 HALVINGS = 12
-ARMIJO, ROUNDING = 1e-4, 1e-12
+ARMIJO = 1e-4
+ROUNDING = 1e-12
 SMALL = 1e-3
 """Share of the greatest load so far below which a load counts as that much: less need not be balanced."""
 MANY = 8
@@ -144,7 +145,10 @@ class QuasiNewton:
         at_rest: DirectSolver,
         factorise: Callable[[bsr_array], DirectSolver],
     ) -> None:
-        self._body, self._fixed, self.at_rest, self._factorise = body, fixed, at_rest, factorise
+        self._body = body
+        self._fixed = fixed
+        self.at_rest = at_rest
+        self._factorise = factorise
         self.factor = at_rest
         self._displacement = np.zeros(fixed.shape)
         self._energy, self._internal = body.energy_and_force(self._displacement)
@@ -190,7 +194,8 @@ class QuasiNewton:
             # A law that softens has no least energy: the steps may have led far away. Stay at the last equilibrium.
             self._displacement, self._energy, self._internal = start
             self._take_factor(self.at_rest)
-            acting, worst = self._left(load_N)[0], at_start
+            acting = self._left(load_N)[0]
+            worst = at_start
         residual = worst / size if size else 0.0
         return Followed(self._displacement, self._internal, acting, residual, steps)
 
@@ -214,10 +219,13 @@ class QuasiNewton:
             share *= 0.5
         else:
             return False
-        change, force = share * step, np.where(self._fixed, 0.0, internal - self._internal)
+        change = share * step
+        force = np.where(self._fixed, 0.0, internal - self._internal)
         self._memory.append((change, force))
         self._pair(change, force)
-        self._displacement, self._energy, self._internal = moved, energy, internal
+        self._displacement = moved
+        self._energy = energy
+        self._internal = internal
         return True
 
     def _outer(self, moved_m: Array, load_N: Array) -> float:
@@ -229,7 +237,8 @@ class QuasiNewton:
 
         The springs are added first. Where they are not enough, the tangent is mixed with the stiffness at rest.
         """
-        tangent, rest = self._body.stiffness(self._displacement), self.at_rest.body.stiffness
+        tangent = self._body.stiffness(self._displacement)
+        rest = self.at_rest.body.stiffness
         try:
             return self._take_factor(self._factorise(tangent))
         except NotPositiveDefiniteError:
@@ -267,7 +276,8 @@ class QuasiNewton:
 
     def _hold_back(self) -> None:
         """Prepare what the springs take off the displacements of the factor (Woodbury's identity)."""
-        points, self._held_back = self._springs.points, None
+        points = self._springs.points
+        self._held_back = None
         if points.shape[0]:
             nodes = np.unique(points.indices // 3)
             columns = (3 * nodes[:, None] + np.arange(3)).ravel()
@@ -286,7 +296,8 @@ class QuasiNewton:
 
     def _inverse(self, left_N: Array) -> Array:
         """Apply the inverse of the stiffness about here to forces (two loops of Nocedal 1980)."""
-        forces, shares = left_N.copy(), []
+        forces = left_N.copy()
+        shares = []
         for change, force, inverse in reversed(self._pairs):
             share = inverse * float(np.sum(change * forces))
             shares.append(share)

@@ -57,7 +57,8 @@ def group_stress(
         )
     rows = elasticity_rows(elasticity, space.cell_count)
     stiffness = stiffness_of_lame(rows) if rows.ndim == 2 else rows
-    count, device = len(start) - 1, space.device
+    count = len(start) - 1
+    device = space.device
     inputs = [
         wp.array(start, dtype=wp.int32, device=device),
         wp.array(member, dtype=wp.int32, device=device),

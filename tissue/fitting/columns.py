@@ -131,7 +131,8 @@ def parse_column(text: str, quantities: Mapping[str, Quantity] = QUANTITIES) -> 
         If it has another form, or a fit does not use that name.
     """
     name, found, column = text.partition("=")
-    name, column = name.strip(), column.strip()
+    name = name.strip()
+    column = column.strip()
     if not found or not name or not column.removeprefix("-"):
         raise InputError(
             f"column must be NAME=COLUMN or NAME=COLUMN:UNIT, got {text!r}: write for example force_x_N=Fx"

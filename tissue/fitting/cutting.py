@@ -1,6 +1,6 @@
 """Loads on a cutter along the poses of a log, for any cutting coefficients: the geometry is recorded once."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,11 +8,10 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
-from tissue.fitting.cutting_parameters import FACTOR, FreeConstant, LayerConstants, free_constants
-from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.parameter import Parameter
-from tissue.fitting.shift import shift_operators
-from tissue.materials.constants import CUT_AS, CuttingCoefficients
+from tissue.fitting.forward import Parameter, chosen
+from tissue.fitting.measured import MeasuredLoads, shift_operators
+from tissue.materials.constants import CUT_AS, N_MM, N_MM2, CuttingCoefficients
+from tissue.materials.prior import Prior
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
 from tissue.scene.scene import Scene
@@ -22,6 +21,39 @@ __all__ = ["CHANNELS", "CuttingForward", "cutting_forward"]
 
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
 """On the tool, in the scene's frame, torques about the tip."""
+DENSITY = Prior(1.0, 0.85, 1.18)
+"""Factor on a layer's density, 10 % (one standard deviation) up and down: laws from CT numbers to density differ by as
+much between scanners and authors (from memory of the literature)."""
+FACTOR = "density_factor"
+"""Field of a free density."""
+FIELDS = {
+    **{field.removesuffix("_Pa") + "_N_mm2": (field, N_MM2) for field in CuttingCoefficients.CHIP},
+    **{field.removesuffix("_N_m") + "_N_mm": (field, N_MM) for field in CuttingCoefficients.EDGE},
+    "density_exponent": ("density_exponent", 1.0),
+}
+"""The constants of a layer: field of `CuttingCoefficients`, and its value for 1."""
+
+
+@dataclass(frozen=True)
+class FreeConstant:
+    """A free constant of one layer.
+
+    Attributes
+    ----------
+    parameter
+        Its name and prior.
+    layer
+        Place of the layer.
+    field
+        Field of `CuttingCoefficients`, or ``density_factor``.
+    unit
+        Value of 1 of the parameter in the field.
+    """
+
+    parameter: Parameter
+    layer: int
+    field: str
+    unit: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +97,9 @@ class CuttingForward:
         return np.stack(columns, axis=-1)
 
     def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
-        """The same cut with loads averaged as a log's samples are, thrice as often as these, and the log as read so.
+        """Return the cut with loads averaged as a log's samples are, at three times their rate, and the log to compare.
 
-        A fit asks for loads thousands of times: it need not average each time.
+        A fit asks for loads thousands of times, so they are averaged once.
         """
         span_s = log.within_s[-1] - log.within_s[0]
         every = max(round(span_s / TICK_S / 3.0), 1)
@@ -83,7 +115,8 @@ class CuttingForward:
 
     def _with(self, x: Array) -> tuple[tuple[CuttingCoefficients, ...], Array]:
         """Coefficients and density factors of each layer for values of the parameters, shape (p,)."""
-        found, factors = list(self.coefficients), np.ones(len(self.coefficients))
+        found = list(self.coefficients)
+        factors = np.ones(len(found))
         for each, value in zip(self.free, np.asarray(x, dtype=float).tolist(), strict=True):
             if each.field == FACTOR:
                 factors[each.layer] = value
@@ -113,7 +146,10 @@ def cutting_forward(
     tips_m, quaternions
         Tips [m], shape (n, 3), and orientations (x, y, z, w), shape (n, 4), of the tool in the scene's frame.
     free
-        What is to be free, see `tissue.fitting.cutting_parameters.free_constants`.
+        Free constants: full names, or a table with parts of the name, such as ``cutting.trabecular``,
+        ``cutting.edge`` or ``cutting.trabecular.radial``. By default all that have a range and are not set by the
+        scene, so that a band over the fitted constants is that of the log; the exponent only where the density is
+        not the one at which the coefficients are stated. The factor on each layer's density is always free.
     cores
         Processor cores to use; default all.
     progress
@@ -131,13 +167,7 @@ def cutting_forward(
             "measured must hold poses in which the tool cuts, got a log whose tool only moves through air: give one of "
             "a cut, or its poses in the scene's frame"
         )
-    names, material = record.layer_names, scene.cutting.material
     changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
-    layers = []
-    for at, each in record.layers.items():
-        known = scene.constants.layer_constants(names[at], bone=material)
-        scaled = (each.nodes.densities_kg_m3 != known["reference_density_kg_m3"].value).any()
-        layers.append(LayerConstants(at, names[at], CUT_AS.get(names[at], material), known, bool(scaled)))
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
     if (inside := float(record.trace["removed_mm3"][0])) > 0.0:
         notes.append(
@@ -146,8 +176,36 @@ def cutting_forward(
         )
     return CuttingForward(
         record,
-        scene.constants.coefficients(names, changes, bone=material),
-        free_constants(layers, tuple(free), set(changes)),
+        scene.constants.coefficients(record.layer_names, changes, bone=scene.cutting.material),
+        _free_constants(scene, record, free, stated=changes.keys()),
         float(times_s[0]) + record.times_s,
         tuple(notes),
     )
+
+
+def _free_constants(
+    scene: Scene, record: LoadRecord, free: Sequence[str], *, stated: Collection[str]
+) -> tuple[FreeConstant, ...]:
+    """Free constants of the layers that the tool met, see `cutting_forward`."""
+    possible = []
+    usual = set[str]()
+    tags: dict[str, tuple[str, ...]] = {}
+    for at, layer in record.layers.items():
+        name = record.layer_names[at]
+        known = scene.constants.layer_constants(name, bone=scene.cutting.material)
+        is_scaled = (layer.nodes.densities_kg_m3 != known["reference_density_kg_m3"].value).any()
+        for constant, (field, unit) in FIELDS.items():
+            if known[constant].low == known[constant].high:
+                continue
+            parameter = Parameter.of(f"cutting.{name}.{constant}", Prior.of(known[constant], constant))
+            possible.append(FreeConstant(parameter, at, field, unit))
+            tags[parameter.name] = (CUT_AS.get(name, scene.cutting.material),)
+            if constant not in stated and (is_scaled or constant != "density_exponent"):
+                usual.add(parameter.name)
+    factors = [
+        FreeConstant(Parameter(f"density.{record.layer_names[at]}", DENSITY), at, FACTOR, 1.0) for at in record.layers
+    ]
+    wanted = {each.name for each in chosen(free, [each.parameter for each in possible + factors], tags)}
+    if not free:
+        wanted = usual
+    return (*(each for each in possible if each.parameter.name in wanted), *factors)

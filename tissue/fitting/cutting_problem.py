@@ -1,22 +1,52 @@
-"""A log of a cut as a fit takes it."""
+"""A log of a cut as a fit takes it, and cuts that would narrow its constants further.
+
+The candidates are steady slots and plunges in each layer, at other feeds, speeds and depths. A steady cut's chip loads
+grow with feed over spin, its edge loads with neither, and both scale with density: one record a depth gives all feeds,
+speeds and layers. Each candidate is a second of steady loads after a quarter of a second in air, from which a sensor's
+bias is known. The entry of the tool is left out.
+"""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 
+import numpy as np
+
+from meshes.base.arrays import Array
 from meshes.base.errors import names_of_caller
 from meshes.base.progress import Progress
-from tissue.fitting.averaged import block_averages, block_ticks
-from tissue.fitting.cutting import cutting_forward
-from tissue.fitting.cutting_candidates import cutting_candidates
+from tissue.fitting.cutting import CuttingForward, cutting_forward
 from tissue.fitting.log import MeasuredLog
-from tissue.fitting.problem import Problem
+from tissue.fitting.measured import block_averages, block_ticks
+from tissue.fitting.posterior import Problem
 from tissue.fitting.signs import require_signs
+from tissue.models.bone.density_nodes import DensityNodes
 from tissue.models.tissue_model import TICK_S
-from tissue.scene.scene import Scene
+from tissue.motion.motion import FollowPath
+from tissue.scene.anatomy import BlockAnatomy
+from tissue.scene.scene import Cutting, Scene, Voxels
+from tissue.scene.tool import Tool
+from tissue.simulation.load_record import LayerLoads, record_loads
 
-__all__ = ["cutting_problem"]
+__all__ = ["cutting_candidates", "cutting_problem"]
 
 REFERENCE = "reference_density_kg_m3"
 """The density at which coefficients are stated."""
+FEEDS = (0.25, 1.0, 4.0)
+SPINS = (0.5, 1.0, 2.0)
+DEPTHS = (0.25, 0.5, 1.0)
+"""Times the log's feed, the tool's spin, and its radius."""
+UP = (0.0, 0.0, 1.0)
+TICKS = 60
+STEADY = slice(30, 60)
+"""Ticks of a record, and those whose mean is the steady load: the tool starts in its own place and has left it then."""
+TRAVEL = {"slot": 1.0, "plunge": 0.1}
+"""What the tool goes in a record, in radii: a plunge little enough to have one depth."""
+VOXELS = 20
+"""Voxels on a radius."""
+AIR = 250
+LASTS = 1250
+"""Ticks in air, and all ticks of a candidate."""
 
 
 def cutting_problem(
@@ -42,3 +72,69 @@ def cutting_problem(
         forward.notes,
         {f"cutting.{layer}.{REFERENCE}": known[REFERENCE].value for layer, known in constants.items()},
     )
+
+
+def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
+    """Cuts with the free constants of a log, by what to do in words.
+
+    Parameters
+    ----------
+    like
+        The log's cut: its tool, the layers that it met, its feed where it cut, and its free constants.
+    """
+    tool = like.record.scene.tool
+    assert isinstance(tool, Tool)
+    feed_m_s = _feed_m_s(like)
+    radius_m = 0.5e-3 * tool.diameter_mm
+    found = {}
+    for kind, depth in product(TRAVEL, DEPTHS):
+        unit, recorded_m_s = _steady(like.record.scene, tool, kind, depth * radius_m)
+        for at, feed, spin in product(like.record.layers, FEEDS, SPINS):
+            loads = unit.copy()
+            loads[:3] *= feed * feed_m_s / recorded_m_s / spin
+            name = (
+                f"a {kind} {1e3 * depth * radius_m:.3g} mm deep in {like.record.layer_names[at]} at "
+                f"{1e3 * feed * feed_m_s:.3g} mm/s and {spin * abs(tool.spin_rpm):.6g} rpm"
+            )
+            found[name] = _second_of(like, at, loads)
+    return found
+
+
+def _second_of(like: CuttingForward, layer: int, unit: Array) -> CuttingForward:
+    """Air, then a second of steady loads in one layer, of a unit of each coefficient, shape (6, 6)."""
+    density = round(like.record.layers[layer].nodes.middle_kg_m3)
+    ticks = np.repeat(unit[None, :, None], LASTS, axis=2)
+    ticks[:, :, :AIR] = 0.0
+    loads = LayerLoads(DensityNodes.of(density, density), ticks)
+    times_s = TICK_S * np.arange(LASTS, dtype=np.float64)
+    return replace(like, record=replace(like.record, times_s=times_s, layers={layer: loads}), times_s=times_s)
+
+
+def _feed_m_s(like: CuttingForward) -> float:
+    """Median speed of the tip where the tool cut [m/s]."""
+    trace = like.record.trace
+    speed = 1e-3 * np.linalg.norm(np.diff(trace.vectors("tool", "mm"), axis=0), axis=1) / np.diff(trace["time_s"])
+    return float(np.median(speed[(trace["contact_mm2"][1:] > 0.0) & (speed > 0.0)]))
+
+
+def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[Array, float]:
+    """Steady loads of a unit of each coefficient in a block, shape (6, 6), at the feed that comes with them [m/s]."""
+    radius_m = 0.5e-3 * tool.diameter_mm
+    travel_m = TRAVEL[kind] * radius_m
+    deep = np.array([0.0, 0.0, -depth_m])
+    along = np.array([travel_m, 0.0, 0.0]) if kind == "slot" else np.array([0.0, 0.0, -travel_m])
+    feed_m_s = travel_m / (TICKS * TICK_S)
+    motion = FollowPath(np.stack([deep - 0.75 * along, deep + 0.25 * along]), feed_m_s=feed_m_s, axis=UP)
+    wide_mm = 3.0 * tool.diameter_mm
+    size_mm = 2.0 * tool.diameter_mm
+    block = scene.model_copy(
+        update={
+            "anatomy": BlockAnatomy(size_mm=(wide_mm, wide_mm, size_mm)),
+            "voxels": Voxels(spacing_mm=1e3 * radius_m / VOXELS),
+            "tool": tool.model_copy(update={"peg_diameter_mm": 0.0, "peg_length_mm": 0.0, "shell_spacing_mm": None}),
+            "cutting": Cutting(),
+        }
+    )
+    record = record_loads(block, motion=motion)
+    (layer,) = record.layers.values()
+    return layer.unit[0, :, STEADY].mean(axis=1), feed_m_s

@@ -9,12 +9,11 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.fitting import organ_constants
 from tissue.fitting.cutting_problem import cutting_problem
-from tissue.fitting.experiments import Gain, expected_information
-from tissue.fitting.identifiability import Identified, identified
+from tissue.fitting.identifiability import Gain, Identified, expected_information, identified
 from tissue.fitting.log import MeasuredLog
 from tissue.fitting.organ_problem import organ_problem
+from tissue.fitting.organ_runs import KEYS
 from tissue.fitting.posterior import Posterior, maximum_posterior
 from tissue.fitting.target import OFFSET_S
 from tissue.materials.prior import Prior
@@ -29,9 +28,10 @@ PROBLEMS = {
 }
 """What a log of a scene is compared with, by what builds its tissue."""
 FITTED = "fit a scene of bone, a tooth or an organ"
-NUISANCES = ("density.", organ_constants.KEYS)
+NUISANCES = ("density.", KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
-FAR, FAR_TIMES = 3.0, 10.0
+FAR = 3.0
+FAR_TIMES = 10.0
 """Standard deviations of a prior beyond which a value contradicts it (0.3 % of constants lie there by chance), and the
 ratio to the end of its range from which it does so in any case: some priors have a heavy tail towards zero."""
 VISIBLE = 20.0
@@ -169,7 +169,7 @@ class SceneFit:
     @property
     def scene_keys(self) -> dict[str, float]:
         """Medians of the fitted keys of the scene, which are no constants of a material."""
-        return {each.name: each.value for each in self.constants if each.name.startswith(organ_constants.KEYS)}
+        return {each.name: each.value for each in self.constants if each.name.startswith(KEYS)}
 
     @property
     def offset_interval_s(self) -> tuple[float, float]:
@@ -179,7 +179,8 @@ class SceneFit:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What a person should know of the fit."""
-        each, (low, high) = self.posterior.nuisances, self.offset_interval_s
+        each = self.posterior.nuisances
+        (low, high) = self.offset_interval_s
         channels = self.posterior.target.log.channels
         biases = ", ".join(
             f"{value:.3g} {name.rpartition('_')[2].replace('Nm', 'N m')} along {name.split('_')[1]}"
@@ -215,7 +216,7 @@ def fit_scene(
     log
         What was measured, in the scene's frame.
     free
-        Constants that are free, see `tissue.fitting.cutting_parameters.free_constants`; nothing frees the usual ones.
+        Constants that are free, see `tissue.fitting.cutting.cutting_forward`; nothing frees the usual ones.
     cores
         Processor cores to use; default all.
     progress
@@ -251,7 +252,8 @@ def require_information(found: Identified, posterior: Posterior) -> None:
         With how large the forces and the noise are.
     """
     if found.is_empty:
-        target, noise = posterior.target, posterior.nuisances
+        target = posterior.target
+        noise = posterior.nuisances
         loads: Array = target.forward.loads(target.x(posterior.mean_z))
         forces = [at for at, name in enumerate(target.log.channels) if name.endswith("_N")]
         greatest = float(abs(loads[:, forces]).max())

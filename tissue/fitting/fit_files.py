@@ -33,7 +33,8 @@ UNITS = ("N_mm2", "N_mm", "kPa", "s")
 LAGS = 40
 """Samples over which the autocorrelation of residuals is drawn."""
 SHOWN_GAINS = SHOWN_COMBINATIONS = 5
-NATS, LITTLE = 0.1, 0.95
+NATS = 0.1
+LITTLE = 0.95
 """Gain below which another log is not recommended [nats]; share of an interval above which it is left as it is."""
 
 
@@ -64,7 +65,8 @@ def _write_files(fit: SceneFit, folder: Path) -> None:
     digest = sha256(fit.path.read_bytes()).hexdigest()
     _write_constants(fit, folder / "fitted.toml", digest)
     posterior = fit.posterior
-    log, residuals = posterior.target.log, posterior.residuals
+    log = posterior.target.log
+    residuals = posterior.residuals
     draw_measured(log.times_s, log.values, posterior.simulated, log.channels, folder / "measured.png")
     correlations = np.stack([_autocorrelation(each) for each in (residuals, posterior.innovations)])
     draw_residuals(
@@ -92,7 +94,8 @@ def unit_of(name: str) -> tuple[str, str]:
 
 def _write_constants(fit: SceneFit, path: Path, digest: str) -> None:
     """The file for scenes: constants of the material with their correlation."""
-    posterior, all_constants = fit.posterior, fit.constants
+    posterior = fit.posterior
+    all_constants = fit.constants
     source = f"fitted to {fit.path.name} ({digest[:12]}) as {fit.name}"
     entries: list[FittedEntry] = []
     for at in fit.of_material:
@@ -203,7 +206,8 @@ def verdicts(fit: SceneFit) -> list[str]:
     if at_prior := [unit_of(name)[0] for name in fit.identified.at_prior if name in names]:
         found.append(f"not narrowed by this log, left at the cited range: {', '.join(at_prior)}")
     if fit.gains and fit.gains[0].nats > NATS:
-        best, widest = fit.gains[0], unit_of(fit.gains[0].widest)[0]
+        best = fit.gains[0]
+        widest = unit_of(fit.gains[0].widest)[0]
         brings = f"brings the interval of {widest} to {100.0 * best.shrinks_to:.0f} % of that now"
         if best.shrinks_to > LITTLE:
             brings = f"leaves that of {widest}, the widest, as it is"

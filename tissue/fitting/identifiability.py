@@ -1,14 +1,17 @@
 """What a log determines: constants narrowed below their priors, and combinations of those that it cannot separate."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from meshes.base.arrays import Array
+from tissue.fitting.forward import Forward
+from tissue.fitting.noise import innovations, place_information
 from tissue.fitting.posterior import Posterior
+from tissue.fitting.target import BIAS_SHARE, OFFSET_S
 
-__all__ = ["AT_PRIOR", "DETERMINED", "Combination", "Identified", "identified"]
+__all__ = ["AT_PRIOR", "DETERMINED", "Combination", "Gain", "Identified", "expected_information", "identified"]
 
 AT_PRIOR = 0.9
 """A constant whose standard deviation is above this share of its prior's stays at its prior."""
@@ -22,7 +25,8 @@ BETTER = 0.5
 """Standard deviation of a combination over that of its best known constant, each over its prior's, that it is below."""
 BALANCED = 0.2
 """A weighted sum whose terms cancel to less than this share of their sizes has no powers: it is a difference."""
-DENSITY, EXPONENT = "density.", ".density_exponent"
+DENSITY = "density."
+EXPONENT = ".density_exponent"
 """What names of constants begin or end with that scale loads by a power."""
 
 
@@ -103,11 +107,13 @@ def identified(posterior: Posterior) -> Identified:
     A direction of z that the log determines is the slope of a weighted mean of the loads. That mean is what the log
     knows, also where the direction of z turns along the curve on which it stays the same.
     """
-    p, target = len(posterior.names), posterior.target
+    p = len(posterior.names)
+    target = posterior.target
     contraction = posterior.spreads
     _, moved = target.linearised(posterior.maximum)
     columns = target.whitened(moved, posterior.nuisances)
-    of_z, nuisances = columns[:, :p], columns[:, p:]
+    of_z = columns[:, :p]
+    nuisances = columns[:, p:]
     free = nuisances.T @ nuisances + np.eye(nuisances.shape[1])
     measured = of_z - nuisances @ np.linalg.solve(free, nuisances.T @ of_z)
     values, vectors = np.linalg.eigh(of_z.T @ measured)
@@ -128,7 +134,9 @@ def _combination(posterior: Posterior, mean: Array, direction: Array, informatio
 
     Constants that count for little are not named: what is not known of them widens the interval.
     """
-    target, noise, names = posterior.target, posterior.nuisances, posterior.names
+    target = posterior.target
+    noise = posterior.nuisances
+    names = posterior.names
     x = target.x(posterior.mean_z)
 
     def measure(constants: Array) -> float:
@@ -143,11 +151,14 @@ def _combination(posterior: Posterior, mean: Array, direction: Array, informatio
     direction = np.where(named, direction, 0.0)
     variance = float(direction @ posterior.covariance_z @ direction)
     linear = named & ~scales
-    total, size = float(terms[linear].sum()), float(np.abs(terms[linear]).sum())
+    total = float(terms[linear].sum())
+    size = float(np.abs(terms[linear]).sum())
     if not linear.any():
-        total, size = measure(x), abs(measure(x))
+        total = measure(x)
+        size = abs(measure(x))
     if abs(total) < BALANCED * size:
-        linear, scales = named, np.zeros_like(scales)
+        linear = named
+        scales = np.zeros_like(scales)
         total = float(terms[named].sum())
     sign = float(np.sign(total))
     powers = np.where(named & scales, terms / total, 0.0)
@@ -165,3 +176,80 @@ def _combination(posterior: Posterior, mean: Array, direction: Array, informatio
         value, value - half, value + half, float(np.sqrt(variance) / np.linalg.norm(direction)),
         lambda constants: (measure(np.where(named, constants, x)) - constant) / unit,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a candidate log is expected to add.
+
+    Attributes
+    ----------
+    label
+        What would be measured.
+    nats
+        Expected gain of information about all constants.
+    widest
+        The constant with the widest interval now.
+    shrinks_to
+        Its interval after the candidate log, as a share of that now.
+    """
+
+    label: str
+    nats: float
+    widest: str
+    shrinks_to: float
+
+
+def expected_information(
+    posterior: Posterior, candidates: Sequence[tuple[str, Forward]], *, among: Sequence[int] = ()
+) -> list[Gain]:
+    """Expected information of candidate logs with the noise of the measured one, greatest first.
+
+    Half the logarithm of the determinant of I + C M: C is the covariance of z now, and M the Fisher information of the
+    candidate, its bias unknown (Chaloner and Verdinelli 1995, linearised at the maximum).
+
+    Parameters
+    ----------
+    posterior
+        Of the log that was measured.
+    candidates
+        Name and forward model of each, with the same constants.
+    among
+        Places of the constants of which the widest is looked for; all of them by default.
+    """
+    now = posterior.covariance_z
+    places = list(among) or list(range(len(now)))
+    at = places[int(np.argmax(np.diag(now)[places]))]
+    values, vectors = np.linalg.eigh(now)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    gains = []
+    for label, forward in candidates:
+        grown, axes = np.linalg.eigh(np.eye(len(now)) + root.T @ _information(posterior, forward) @ root)
+        grown = np.maximum(grown, 1.0)
+        nats = 0.5 * float(np.log(grown).sum())
+        after = float(np.sum((root[at] @ axes) ** 2 / grown))
+        gains.append(Gain(label, nats, posterior.names[at], float(np.sqrt(after / now[at, at]))))
+    return sorted(gains, key=lambda each: -each.nats)
+
+
+def _information(posterior: Posterior, forward: Forward) -> Array:
+    """Fisher information of a log about z, its biases and its clock's offset left free, shape (p, p).
+
+    A log at another rate than the measured one would have other noise: the candidate is taken at the measured rate.
+    """
+    target = posterior.target
+    noise = posterior.nuisances
+    rate_s = float(np.median(np.diff(target.log.times_s)))
+    every = max(round(rate_s / float(np.median(np.diff(forward.times_s)))), 1)
+    places = [forward.channels.index(name) for name in target.log.channels]
+    slopes = target.slopes(posterior.mean_z)
+    x = target.x(posterior.mean_z)
+    moved = forward.jacobian(x)[::every][:, places] * slopes
+    by_offset = -OFFSET_S * np.gradient(forward.loads(x)[:, places], forward.times_s, axis=0)[::every, :, None]
+    biases = np.broadcast_to(np.diag(BIAS_SHARE * target.log.sizes()), (len(moved), len(places), len(places)))
+    columns = innovations(np.concatenate([moved, biases, by_offset], axis=2), noise.correlation)
+    columns *= (np.sqrt(place_information(noise.freedom)) / noise.scale)[:, None]
+    rows = columns.reshape(-1, columns.shape[2])
+    p = len(slopes)
+    whole = rows.T @ rows + np.diag([0.0] * p + [1.0] * (len(places) + 1))
+    return np.asarray(whole[:p, :p] - whole[:p, p:] @ np.linalg.solve(whole[p:, p:], whole[p:, :p]))

@@ -6,16 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, is_file
+from meshes.base.errors import DamagedFileError, InputError, is_file
 from meshes.base.file_limits import read_npz, require_memory
-from meshes.base.isolated_parser import parse_isolated
+from meshes.base.isolated_parser import Answer, parse_isolated
 from tissue.fitting.columns import ColumnMap, Quantity
 from tissue.fitting.log_text import read_text
 from tissue.motion.drilling_recording import read_drilling
 
-__all__ = ["LogColumns", "read_columns"]
+__all__ = ["LogColumns", "mat_columns", "parquet_columns", "read_columns"]
 
 DRILLING = ("physics_data", "high_frequency_poses")
 """Groups by which a recording of volumetric_drilling is known."""
@@ -52,13 +53,15 @@ class LogColumns:
             If a column that is mapped is not there, or holds no numbers.
         """
         values: dict[str, Array] = {}
-        used, notes = set[str](), list(self.notes)
+        used = set[str]()
+        notes = list(self.notes)
         for name, quantity in quantities.items():
             if name in maps:
                 column, factor, remark = maps[name].find(self.names)
                 notes += [remark] if remark else []
             elif name in self.names:
-                column, factor = name, quantity.factor
+                column = name
+                factor = quantity.factor
             else:
                 continue
             values[name] = factor * self.numbers(column)
@@ -118,7 +121,7 @@ def _parquet(path: Path) -> LogColumns:
 
 def _isolated(parser: str, path: Path) -> LogColumns:
     """Columns that a parser finds in a process of its own."""
-    name = f"tissue.fitting.isolated_columns:{parser}"
+    name = f"tissue.fitting.log_files:{parser}"
     return _held(parse_isolated(name, path, what=f"{path.suffix} file", remedy="export it again")[1])
 
 
@@ -188,3 +191,56 @@ READERS: dict[str, Callable[[Path], LogColumns]] = {
     ".csv": _text, ".txt": _text, ".tsv": _text, ".parquet": _parquet, ".npz": _npz, ".mat": _mat,
     ".h5": _h5, ".hdf5": _h5,
 }  # fmt: skip
+
+
+_BYTES = 8
+"""Of a number in memory."""
+
+
+def parquet_columns(file: Path) -> Answer:
+    """Return the columns of a Parquet file by name, after its stated size has been held against the memory limit.
+
+    What holds no numbers is returned as an empty matrix, so that its name is known.
+    """
+    import pyarrow.parquet
+
+    about = pyarrow.parquet.ParquetFile(file).metadata
+    chunks = [about.row_group(k).column(j) for k in range(about.num_row_groups) for j in range(about.num_columns)]
+    needed = sum(max(_BYTES * chunk.num_values, chunk.total_uncompressed_size) for chunk in chunks)
+    require_memory(max(needed, _BYTES * about.num_rows * about.num_columns), file.name, f"{about.num_rows:.3g} rows")
+    table = pyarrow.parquet.read_table(file)
+    columns: dict[str, NDArray[np.number]] = {}
+    for name, values in zip(table.column_names, table.columns, strict=True):
+        _require_new(name, columns)
+        columns[name] = _numeric(values.to_numpy(zero_copy_only=False))
+    return {}, columns
+
+
+def mat_columns(file: Path) -> Answer:
+    """Return the numeric arrays of a MATLAB file by name, those of structs by the names of their fields.
+
+    What holds no numbers is returned as an empty matrix, so that its name is known.
+    """
+    from scipy.io import loadmat
+
+    columns: dict[str, NDArray[np.number]] = {}
+    for name, value in loadmat(file, squeeze_me=True).items():
+        if name.startswith("__"):
+            continue
+        fields = getattr(getattr(value, "dtype", None), "names", None)
+        held = {inner: value[inner].item() for inner in fields} if fields and value.ndim == 0 else {name: value}
+        for inner, each in held.items():
+            _require_new(inner, columns)
+            columns[inner] = _numeric(np.asarray(each))
+    return {}, columns
+
+
+def _require_new(name: str, columns: Mapping[str, object]) -> None:
+    """Refuse a file in which two columns have one name."""
+    if name in columns:
+        raise DamagedFileError(f"two columns named {name}")
+
+
+def _numeric(values: NDArray[Any]) -> NDArray[np.number]:
+    """Return an array of numbers as it is, and an empty matrix for anything else."""
+    return values if values.dtype.kind in "fiu" else np.zeros((0, 0))

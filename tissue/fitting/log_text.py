@@ -50,7 +50,8 @@ class TextTable:
         """
         if self.names.count(name) != 1:
             raise InputError(f"column must name one column of the log, got {name}, which is there twice: rename one")
-        place, numbers = self.names.index(name), []
+        place = self.names.index(name)
+        numbers = []
         for line, row in zip(self.lines, self.rows, strict=True):
             cell = row[place].strip()
             try:
@@ -85,7 +86,8 @@ def read_text(path: Path) -> TextTable:
     if len(cells[places[-1]]) < width:
         places.pop()
         notes.append("the last line, which is cut short, is left out")
-    numbers, rows = [at + 1 for at in places], [cells[at] for at in places]
+    numbers = [at + 1 for at in places]
+    rows = [cells[at] for at in places]
     for line, row in zip(numbers, rows, strict=True):
         if len(row) != width:
             raise InputError(
@@ -109,7 +111,8 @@ def _decoded(path: Path) -> str:
 
 def _form(lines: list[str], path: Path) -> tuple[str, int]:
     """Delimiter and number of cells of the lines that hold data: those that make the most numbers of them."""
-    best, form = 0, (",", 0)
+    best = 0
+    form = (",", 0)
     for delimiter in _DELIMITERS:
         rows = [_cells(line, delimiter) for line in lines]
         widths = Counter(len(row) for row in rows if len(row) > 1 and _is_data(row))
@@ -118,7 +121,8 @@ def _form(lines: list[str], path: Path) -> tuple[str, int]:
         width = widths.most_common(1)[0][0]
         score = sum(2 * _count(row) - len(row) for row in rows if len(row) == width)
         if score > best:
-            best, form = score, (delimiter, width)
+            best = score
+            form = (delimiter, width)
     if not form[1]:
         raise InputError(
             f"log must hold a table with at least two columns of numbers, got none in {path.name}: export it as CSV"

@@ -66,7 +66,8 @@ def noise_terms(residuals: Array, scale: Array, correlation: Array, freedom: Arr
     weights = np.where(here, (freedom + 1.0) / spread, 0.0)
     pull = weights * e
     stationary = 1.0 - correlation**2
-    count, begun = here.sum(axis=0), starts.sum(axis=0)
+    count = here.sum(axis=0)
+    begun = starts.sum(axis=0)
     constant = gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom) - 0.5 * np.log(freedom * np.pi)
     density = count * (constant - np.log(scale)) + 0.5 * begun * np.log(stationary)
     tails = np.log1p(e**2 / (freedom * scale**2)).sum(axis=0)

@@ -4,35 +4,37 @@ Its covariance is the inverse of the expected information: differences of gradie
 load takes where the tool leaves an element or a shaft begins to slide one sample earlier.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize
 
 from meshes.base.arrays import Array
-from tissue.fitting.clock_offset import offset_interval_s
 from tissue.fitting.forward import Forward
 from tissue.fitting.marginal import Marginal, marginal
 from tissue.fitting.measured import MeasuredLoads
 from tissue.fitting.noise import innovations
-from tissue.fitting.restricted import Restricted
-from tissue.fitting.target import OFFSET_S, Target, Unpacked
+from tissue.fitting.target import OFFSET_S, Restricted, Target, Unpacked
 from tissue.materials.prior import Prior
 
-__all__ = ["Posterior", "climbed", "maximum_posterior", "starts"]
+__all__ = ["Posterior", "Problem", "climbed", "maximum_posterior", "starts"]
 
 OFFSETS_S = OFFSET_S * np.concatenate([np.arange(-10.0, -3.0), np.linspace(-3.0, 3.0, 25), np.arange(4.0, 11.0)])
 """Offsets from which the search begins [s]: a force may rise at several times, so that there are several maxima. Those
 beyond three standard deviations of the prior find clocks that contradict it."""
 STARTS = 2
-NEARBY, REFINED = np.linspace(-2.5, 2.5, 101), 3
+NEARBY = np.linspace(-2.5, 2.5, 101)
+REFINED = 3
 """Offsets about a maximum at which a higher one is looked for, in samples of the log, and how often."""
 FARTHEST = 12.0
 """Standard deviations of a prior beyond which nothing is looked for."""
 STEEP = 1e-2
 """Squared distance to the maximum, in standard deviations, at which it counts as found."""
 SCORING_STEPS = 20
+SHORTER = 0.5 ** np.arange(10)
+"""Shares of a scoring step that are tried until the log density rises."""
 RESTRICTED = 2
 """How often the noise is found again with new sensitivities of the constants."""
 
@@ -87,21 +89,22 @@ class Posterior:
     @cached_property
     def offset_interval_s(self) -> tuple[float, float]:
         """90 % interval of the offset of the clocks [s]."""
-        p = self.target.constants
-        return offset_interval_s(self.target, self.maximum, OFFSET_S * float(np.sqrt(self.covariance[p, p])))
+        found = marginal(self.target, self.maximum, self.covariance, self.target.constants)
+        low, _, high = (OFFSET_S * found.quantiles).tolist()
+        return low, high
 
     @cached_property
     def marginals(self) -> tuple[Marginal, ...]:
-        """The law of each constant by itself, p of them."""
+        """Law of each constant, p of them."""
         return tuple(marginal(self.target, self.maximum, self.covariance, at) for at in range(self.target.constants))
 
     @property
     def spreads(self) -> Array:
-        """Standard deviation of each constant's z, 1 before the log, shape (p,)."""
+        """Standard deviation of each constant over that of its prior, shape (p,)."""
         return np.array([each.spread for each in self.marginals])
 
     def interval(self, at: int) -> tuple[float, float, float]:
-        """5, 50 and 95 % of a constant, by its place, in its unit."""
+        """Return 5, 50 and 95 % of a constant, by its place, in its unit."""
         low, middle, high = self.priors[at].x(self.marginals[at].quantiles).tolist()
         return low, middle, high
 
@@ -125,7 +128,7 @@ class Posterior:
 def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     """Find the most probable constants and the normal law that the expected information there gives.
 
-    The noise is that of the restricted likelihood, see `tissue.fitting.restricted`.
+    The noise is that of the restricted likelihood, see `tissue.fitting.target`.
     """
     target = Target(forward, log)
     guesses = [u for _, u in starts(target)[:STARTS]]
@@ -139,13 +142,13 @@ def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     place = best[1]
     for _ in range(RESTRICTED):
         place = climbed(Restricted(target, place), place)[1]
-    return Posterior(target, *_polished(Restricted(target, place), place))
+    maximum, information, converged = _scored(Restricted(target, place), place)
+    return Posterior(target, maximum, np.asarray(np.linalg.inv(information), dtype=np.float64), converged)
 
 
 def climbed(target: Target | Restricted, start: Array) -> tuple[float, Array]:
     """The greatest log density near a start, and its place, in coordinates in which the information there is one."""
-    plain = target.target if isinstance(target, Restricted) else target
-    root = np.linalg.inv(np.linalg.cholesky(plain.information(start)))
+    root = np.linalg.inv(np.linalg.cholesky(target.information(start)))
 
     def place(v: Array) -> Array:
         return np.asarray(np.clip(start + v @ root, -FARTHEST, FARTHEST))
@@ -180,21 +183,50 @@ def starts(target: Target) -> list[tuple[float, Array]]:
     return sorted(graded, key=lambda each: -each[0])
 
 
-def _polished(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
-    """The maximum by Fisher's scoring, the inverse of the information there, and whether it was found."""
+def _scored(target: Restricted, u: Array) -> tuple[Array, Array, bool]:
+    """The maximum near a place by Fisher's scoring, the information there, and whether it was found."""
     value, gradient = target.value_and_gradient(u)
     for _ in range(SCORING_STEPS):
-        information = target.target.information(u)
+        information = target.information(u)
         step = np.linalg.solve(information, gradient)
-        gain, share = float(gradient @ step), 1.0
+        gain = float(gradient @ step)
         if gain < STEEP:
-            break
-        while share > 1e-3:
+            return u, information, True
+        for share in SHORTER:
             tried, there = target.value_and_gradient(u + share * step)
-            if np.isfinite(tried) and tried > value:
-                u, value, gradient = u + share * step, tried, there
+            if tried > value:
                 break
-            share *= 0.5
         else:
-            break
-    return u, np.asarray(np.linalg.inv(information), dtype=np.float64), gain < STEEP
+            return u, information, False
+        u = u + share * step
+        value = tried
+        gradient = there
+    return u, information, False
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Loads by constants, a log as it is compared with them, and what else could be measured.
+
+    Attributes
+    ----------
+    forward
+        Loads by the constants.
+    measured
+        The log, averaged over blocks.
+    block_s
+        Length of a block [s].
+    candidates
+        Return logs that could be measured next, each with a description, given the posterior of this one.
+    notes
+        Remarks for the report.
+    fixed
+        Constants on which the free ones rest, by their names.
+    """
+
+    forward: Forward
+    measured: MeasuredLoads
+    block_s: float
+    candidates: Callable[[Posterior], Sequence[tuple[str, Forward]]]
+    notes: tuple[str, ...] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)

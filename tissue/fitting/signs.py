@@ -64,7 +64,8 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
             tried[places] *= -1.0
             density, explained = _search(forward, log, tried, best + GAIN)
             if density > best + GAIN and (explained[places] > EXPLAINED).any():
-                best, found = density, tried
+                best = density
+                found = tried
         if found is signs:
             break
         signs = found

@@ -7,24 +7,27 @@ from scipy.sparse import csr_array
 
 from meshes.base.arrays import Array
 from tissue.fitting.forward import Forward
-from tissue.fitting.measured import MeasuredLoads
+from tissue.fitting.measured import MeasuredLoads, shift_operators
 from tissue.fitting.noise import NoiseTerms, freedom_information, innovations, noise_terms, place_information
-from tissue.fitting.shift import shift_operators
 
-__all__ = ["OFFSET_S", "Target", "Unpacked"]
+__all__ = ["OFFSET_S", "Restricted", "Target", "Unpacked"]
 
 OFFSET_S = 0.02
 """Standard deviation of the prior of the time between the clocks of force and pose [s]: two instruments started by hand
 on one computer; logs of one instrument are at zero."""
 BIAS_SHARE = 0.5
 """Standard deviation of a sensor's bias, in shares of the size of the log's loads."""
-NOISE_SHARE, NOISE_SPREAD = 0.05, 1.5
+NOISE_SHARE = 0.05
+NOISE_SPREAD = 1.5
 """Median of the noise in shares of the same, and standard deviation of its logarithm: 90 % within a factor of 12."""
 LEAST_NOISE = 1e-3
 """Least noise in shares of the same: a load's decimals in a file, and the velocity of a replayed tool over a tick."""
-CORRELATION_SPREAD, MOST_CORRELATED = 1.5, 0.9995
+CORRELATION_SPREAD = 1.5
+MOST_CORRELATED = 0.9995
 """Standard deviation of artanh of the correlation of neighbours, 90 % within +-0.986, and its greatest size."""
-LEAST_FREEDOM, FREEDOM, FREEDOM_SPREAD = 2.0, 4.0, 1.0
+LEAST_FREEDOM = 2.0
+FREEDOM = 4.0
+FREEDOM_SPREAD = 1.0
 """Least degrees of freedom of the noise, of a finite variance; median of what they are above it, 90 % from 3 to 23:
 heavy tails, and near enough the normal law, of which 90 % intervals that assume 4 would hold 87 %."""
 
@@ -65,20 +68,22 @@ class Target:
     """
 
     def __init__(self, forward: Forward, log: MeasuredLoads) -> None:
-        self.forward, self.log = forward, log
+        self.forward = forward
+        self.log = log
         self._priors = [each.prior for each in forward.parameters]
         self._places = [forward.channels.index(name) for name in log.channels]
         self._sizes = log.sizes()
         self.constants = len(self._priors)
         self.sides = np.array([each.side for each in forward.parameters])
-        """Side of each constant, shape (p,), see `tissue.fitting.parameter.Parameter.side`."""
+        """Side of each constant, shape (p,), see `tissue.fitting.forward.Parameter.side`."""
         self.size = self.constants + 1 + 4 * len(log.channels)
         self._linearised: tuple[Array, Array, Array] | None = None
         self._last_shift: tuple[float, tuple[csr_array, csr_array]] | None = None
 
     def unpacked(self, u: Array) -> Unpacked:
         """The numbers of a fit from its vector, shape (size,)."""
-        p, c = self.constants, len(self.log.channels)
+        p = self.constants
+        c = len(self.log.channels)
         bias, noise, correlation, freedom = u[p + 1 :].reshape(4, c)
         scale = self._sizes * (LEAST_NOISE + NOISE_SHARE * np.exp(NOISE_SPREAD * noise))
         return Unpacked(
@@ -107,7 +112,8 @@ class Target:
 
     def linearised(self, u: Array) -> tuple[Array, Array]:
         """`simulated`, and its derivatives by z, the scaled offset and the scaled biases, (m, channels, p + 1 + c)."""
-        each, c = self.unpacked(u), len(self.log.channels)
+        each = self.unpacked(u)
+        c = len(self.log.channels)
         place = u[: self.constants + 1]
         if self._linearised is None or not np.array_equal(self._linearised[0], place):
             self._linearised = (place.copy(), *self._by_place(each))
@@ -118,7 +124,8 @@ class Target:
     def _by_place(self, each: Unpacked) -> tuple[Array, Array]:
         """Loads without bias, shape (m, channels), and their derivatives by z and the scaled offset."""
         values, rates = self._shifted(each.offset_s)
-        x, c = self.x(each.z), len(self.log.channels)
+        x = self.x(each.z)
+        c = len(self.log.channels)
         loads = self.forward.loads(x)[:, self._places]
         jacobian = self.forward.jacobian(x)[:, self._places] * self.slopes(each.z)
         by_z = (values @ jacobian.reshape(len(jacobian), -1)).reshape(-1, c, self.constants)
@@ -138,14 +145,17 @@ class Target:
         Of constants, offset and biases by the sensitivities, their cross terms with the noise being zero; of the noise
         of a channel by Student's law (Lange, Little and Taylor 1989) and a stationary chain.
         """
-        each, free = self.unpacked(u), self.constants + 1 + len(self.log.channels)
+        each = self.unpacked(u)
+        free = self.constants + 1 + len(self.log.channels)
         columns = self.whitened(self.linearised(u)[1], each)
         samples = np.isfinite(self.log.values).sum(axis=0)
-        nu, place = each.freedom, place_information(each.freedom)
+        nu = each.freedom
+        place = place_information(each.freedom)
         flat = MOST_CORRELATED - each.correlation**2 / MOST_CORRELATED
         of_correlation = place * nu / (nu - 2.0) / (1.0 - each.correlation**2)
         of_freedom, crossed = freedom_information(nu)
-        by_noise, by_u = self._by_noise(each), FREEDOM_SPREAD * (nu - LEAST_FREEDOM)
+        by_noise = self._by_noise(each)
+        by_u = FREEDOM_SPREAD * (nu - LEAST_FREEDOM)
         found = np.eye(self.size)
         found[:free, :free] += columns.T @ columns
         noise, chain, tails = np.arange(free, self.size).reshape(3, -1)
@@ -165,7 +175,9 @@ class Target:
 
     def value_and_gradient(self, u: Array) -> tuple[float, Array]:
         """Log density, up to a constant, and its gradient, shape (size,)."""
-        each, p, c = self.unpacked(u), self.constants, len(self.log.channels)
+        each = self.unpacked(u)
+        p = self.constants
+        c = len(self.log.channels)
         simulated, sensitivities = self.linearised(u)
         residuals = self.log.values - simulated
         terms = self.terms(residuals, each)
@@ -217,7 +229,8 @@ class Target:
         residuals = self.log.values - self.simulated(u)
         e = residuals[1:] - CORRELATED * residuals[:-1]
         spread = 1.4826 * np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0) + LEAST_NOISE * self._sizes
-        noise, c = slice(free, free + len(self._sizes)), len(self._sizes)
+        noise = slice(free, free + len(self._sizes))
+        c = len(self._sizes)
         u[noise] = np.log(spread / (NOISE_SHARE * self._sizes)) / NOISE_SPREAD
         u[free + c : free + 2 * c] = np.arctanh(CORRELATED) / CORRELATION_SPREAD
         return u
@@ -227,3 +240,60 @@ MOST_WEIGHT = 10.0
 """Neighbouring samples taken as one while the noise's correlation is not known yet."""
 CORRELATED = 0.5
 """Correlation of neighbours from which an optimiser begins."""
+
+
+class Restricted:
+    """A `Target` with the restricted likelihood of its noise; sensitivities are those at one place.
+
+    Parameters
+    ----------
+    target
+        The density of constants and nuisances.
+    u
+        Where its sensitivities are taken, shape (size,).
+    """
+
+    def __init__(self, target: Target, u: Array) -> None:
+        self.target = target
+        _, moved = target.linearised(u)
+        known = np.isfinite(target.log.values)[:, :, None]
+        follows = known[1:] & known[:-1]
+        starts = known & ~np.concatenate([np.zeros_like(known[:1]), known[:-1]])
+        now = np.where(follows, moved[1:], 0.0)
+        before = np.where(follows, moved[:-1], 0.0)
+        first = np.where(starts, moved, 0.0)
+        products = _products(first, first)
+        crossed = _products(now, before)
+        # Information of a channel for correlation phi and scale s: (constant + linear phi + square phi²)
+        # times that of a place over s².
+        self._constant = products + _products(now, now)
+        self._linear = -crossed - np.swapaxes(crossed, 1, 2)
+        self._square = _products(before, before) - products
+
+    def information(self, u: Array) -> Array:
+        """Return `Target.information`."""
+        return self.target.information(u)
+
+    def value_and_gradient(self, u: Array) -> tuple[float, Array]:
+        """Return the log density, up to a constant, and its gradient, shape (size,)."""
+        value, gradient = self.target.value_and_gradient(u)
+        each = self.target.unpacked(u)
+        p = self.target.constants
+        c = len(self.target.log.channels)
+        nu = each.freedom
+        phi = each.correlation[:, None, None]
+        precision = (place_information(nu) / each.scale**2)[:, None, None]
+        information = (self._constant + phi * self._linear + phi**2 * self._square) * precision
+        whole = information.sum(axis=0) + np.eye(information.shape[1])
+        inverse = np.linalg.inv(whole)
+        by_phi = np.einsum("ij,cji->c", inverse, (self._linear + 2.0 * phi * self._square) * precision)
+        by_size = np.einsum("ij,cji->c", inverse, information)
+        gradient[p + 1 + c :] -= self.target.noise_gradient(
+            each, -by_size, 0.5 * by_phi, by_size / ((nu + 1.0) * (nu + 3.0))
+        )
+        return value - 0.5 * float(np.linalg.slogdet(whole)[1]), gradient
+
+
+def _products(left: Array, right: Array) -> Array:
+    """Products of sensitivities (m, channels, k), summed over times, for each channel, shape (channels, k, k)."""
+    return np.asarray(np.einsum("tci,tcj->cij", left, right, optimize=True))

@@ -111,10 +111,12 @@ class KeepClear:
         self.points_m = np.zeros((1, 3)) if points_m is None else points_m
         self.distances = dict(distances or {})
         self.names = tuple(f"distance_{name}_mm" for name in structures)
-        self.measures, self.notices = np.zeros(len(structures)), list[str]()
+        self.measures = np.zeros(len(structures))
+        self.notices = list[str]()
         self._breaches = [_Breach(name) for name in structures]
         self._tick = 0
-        outline, medial = _outline(profile), _medial(profile)
+        outline = _outline(profile)
+        medial = _medial(profile)
         self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
@@ -138,7 +140,8 @@ class KeepClear:
         breach.least_m = min(breach.least_m, distance_m)
         if distance_m < 0.0:
             if breach.began_s is None:
-                breach.began_s, breach.deepest_now_m = self._now_s, 0.0
+                breach.began_s = self._now_s
+                breach.deepest_now_m = 0.0
                 breach.first_s = self._now_s if breach.first_s is None else breach.first_s
                 self.notices.append(f"breached {breach.name}, which is to be kept clear of")
             breach.deepest_now_m = max(breach.deepest_now_m, -distance_m)

@@ -30,8 +30,10 @@ class WallModel:
     def __init__(self, stiffness_N_m: float, *, radius_m: float) -> None:
         self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use 1e4")
         self._radius = require_positive("radius_m", radius_m, "use 5e-3")
-        self.start_m3, self.removed_m3 = np.zeros(1), np.zeros(1)
-        self._free, self._pressed = np.zeros((3, 3)), np.diag((0.0, 0.0, self.stiffness_N_m))
+        self.start_m3 = np.zeros(1)
+        self.removed_m3 = np.zeros(1)
+        self._free = np.zeros((3, 3))
+        self._pressed = np.diag((0.0, 0.0, self.stiffness_N_m))
         self._response = Response.empty(1, 1)
         self._response.normal[2] = 1.0
 
@@ -52,12 +54,15 @@ class WallModel:
 
     def respond(self, motion: ToolMotion) -> Response:
         """Force on the ball, and its torque about the tip."""
-        response, depth = self._response, self._depth_m(motion)
-        response.gap_m, depth = max(-depth, 0.0), max(depth, 0.0)
+        response = self._response
+        depth = self._depth_m(motion)
+        response.gap_m = max(-depth, 0.0)
+        depth = max(depth, 0.0)
         force = self.stiffness_N_m * depth
         arm_x, arm_y, _ = self._radius * motion.rotation[:, 2]
         response.wrench[2] = force
-        response.wrench[3], response.wrench[4] = arm_y * force, -arm_x * force
+        response.wrench[3] = arm_y * force
+        response.wrench[4] = -arm_x * force
         response.edge[:] = response.wrench
         response.stiffness_N_m = self._pressed if depth > 0.0 else self._free
         response.engaged_m2[0] = pi * depth * max(2.0 * self._radius - depth, 0.0)

@@ -7,7 +7,7 @@ from typing import Any
 from tissue.scene.used_constants import Used
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.run_summary import Summary
-from tissue.uncertainty.sentences import band_lines
+from tissue.uncertainty.figures import band_lines
 
 __all__ = ["band_section", "events_table", "figures_of", "materials_table", "notes_table", "reproduce", "status_of"]
 

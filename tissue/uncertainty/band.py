@@ -12,17 +12,69 @@ from tissue.scene.scene import Scene
 from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.simulate import simulate
-from tissue.uncertainty.band_summary import about, without
-from tissue.uncertainty.figures import GREATEST, LEVELS, LOADS, Figure, intervals, table_of
-from tissue.uncertainty.rerun import Workers, ranges_of, reruns
+from tissue.uncertainty.figures import GREATEST, LEVELS, LOADS, Figure, intervals, over_time, table_of
+from tissue.uncertainty.rerun import Workers, reruns
 from tissue.uncertainty.reweighed import Reweighed, density_prior, with_sizes
-from tissue.uncertainty.sample import Ranges, normals, rounded
-from tissue.uncertainty.sample_files import sample_name, sample_text
-from tissue.uncertainty.sobol import sobol_indices
-from tissue.uncertainty.span import over_time
-from tissue.uncertainty.surrogate import surrogate_indices
+from tissue.uncertainty.sample import Ranges, normals, ranges_of, rounded, sample_name, sample_text
+from tissue.uncertainty.sobol import SobolIndices, sobol_indices, surrogate_indices
 
 __all__ = ["Band", "band_of", "require_band", "require_same"]
+
+SAME_EVERYWHERE = (
+    "does not vary with the constants: the path is given, so that the run's own figure holds in every sample"
+)
+NEEDS_RUNS = "depends on constants, and the loads alone were reweighed: it needs a run of each sample, --each-run"
+
+
+def _about(
+    asked: int, seed: int, how: str, ranges: Ranges, indices: SobolIndices, figures: tuple[Figure, ...] = LOADS
+) -> Summary:
+    """Entries of ``summary.json`` on how the band was made, its constants and their indices."""
+    return {
+        "asked": asked,
+        "seed": seed,
+        "how": how,
+        "constants": _constants(ranges),
+        "sobol": _indices(indices, ranges, figures),
+    }
+
+
+def _without(scene: Scene) -> dict[str, str]:
+    """Figures without an interval where loads are reweighed, and the reason."""
+    names = ["removed_mm3", "contact_share"] + ["keep_clear"] * (scene.keep_clear is not None)
+    found = dict.fromkeys([*names, "break_through", "events"], SAME_EVERYWHERE)
+    if scene.heat:
+        found |= dict.fromkeys(("greatest_pulp_rise_K", "events"), NEEDS_RUNS)
+    if scene.stress is not None:
+        found["stress"] = NEEDS_RUNS
+    return found
+
+
+def _constants(ranges: Ranges) -> dict[str, dict[str, float]]:
+    return {
+        name: {"value": prior.value, "low": prior.low, "high": prior.high}
+        for name, prior in zip(ranges.names, ranges.priors, strict=True)
+    }
+
+
+def _indices(
+    found: SobolIndices, ranges: Ranges, figures: tuple[Figure, ...]
+) -> dict[str, dict[str, dict[str, object]]]:
+    """Indices by figure and group; none of a figure that does not vary."""
+    return {
+        ".".join(figure): {
+            group: {
+                "first": float(found.first[row, column]),
+                "first_90": found.first_ends[:, row, column].tolist(),
+                "total": float(found.total[row, column]),
+                "total_90": found.total_ends[:, row, column].tolist(),
+            }
+            for row, group in enumerate(ranges.group_names)
+        }
+        for column, figure in enumerate(figures)
+        if np.isfinite(found.total[:, column]).all()
+    }
+
 
 HOW = "the geometry was recorded once and reweighed, for the force is linear in the coefficients and the path is given"
 HOW_RERUN = "every sample was run, for the force is not linear in the constants or moves the tool"
@@ -148,7 +200,8 @@ def band_of(
         where = Workers(workers or 1, scheduler, compute)
         return _rerun(scene, asked, seed, workers=where, cores=cores, report=report)
     reweighed = Reweighed(record_loads(scene, compute=compute, cores=cores, progress=progress))
-    ranges, record = reweighed.ranges, reweighed.record
+    ranges = reweighed.ranges
+    record = reweighed.record
     _require_ranges(ranges)
     report("reweighing the loads", 0.0)
     values = ranges.x(normals(rounded(asked), len(ranges.names), seed=seed))
@@ -158,8 +211,8 @@ def band_of(
     report("computing Sobol indices", 0.5)
     indices = sobol_indices(lambda free: reweighed.figures(ranges.x(free)), ranges.groups, count=SOBOL_ROWS, seed=seed)
     files = tuple(sample_text(record.scene.constants, ranges.names, each) for each in values)
-    summary = about(asked, seed, HOW, ranges, indices) | intervals(LOADS, figures)
-    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": without(scene)}
+    summary = _about(asked, seed, HOW, ranges, indices) | intervals(LOADS, figures)
+    summary |= {"samples": len(figures), "failed": 0, "problems": {}, "without": _without(scene)}
     numbers = np.arange(len(files))
     return Band(record.times_s, nominal, quantiles, ranges.names, values, LOADS, figures, numbers, files, summary)
 
@@ -167,7 +220,8 @@ def band_of(
 def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int | None, report: Progress) -> Band:
     """A band each of whose samples is a run of its own."""
     run = simulate(scene, compute=workers.compute, cores=cores, progress=report)
-    trace, is_linear = run.trace, not why_not_linear(scene)
+    trace = run.trace
+    is_linear = not why_not_linear(scene)
     if density_prior(run.parts.notes.get("density law", "")) is not None and is_linear:
         raise InputError(
             "each_run must be left out where the density of an image varies within its law's band, which a file of "
@@ -195,7 +249,7 @@ def _rerun(scene: Scene, asked: int, seed: int, *, workers: Workers, cores: int 
     explaining = [at for at, name in enumerate(names) if name in LOADS or name[0].startswith(GREATEST)]
     explained_names = tuple(names[at] for at in explaining)
     indices, explained = surrogate_indices(free[kept], figures[:, explaining], ranges.groups, seed=seed)
-    summary = about(asked, seed, HOW_ASKED if is_linear else HOW_RERUN, ranges, indices, explained_names) | intervals(
+    summary = _about(asked, seed, HOW_ASKED if is_linear else HOW_RERUN, ranges, indices, explained_names) | intervals(
         names, figures
     )
     summary |= {"samples": len(kept), "failed": len(problems), "problems": problems, "span": span}
@@ -234,7 +288,8 @@ def require_same(band: Band, loads: Array) -> None:
             "run the scene again"
         )
     for first, columns in ((0, slice(0, 3)), (4, slice(3, 6))):
-        nominal, run = band.nominal[:, first : first + 3], loads[: len(band.times_s), columns]
+        nominal = band.nominal[:, first : first + 3]
+        run = loads[: len(band.times_s), columns]
         if np.abs(nominal - run).max(initial=0.0) > SAME * np.abs(run).max(initial=0.0):
             raise InputError(
                 "band must be of a run whose scene is as it was, got other loads from the same scene: run it again"

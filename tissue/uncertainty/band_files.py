@@ -16,11 +16,12 @@ from tissue.simulation.run_summary import read_summary
 from tissue.uncertainty.band import Band
 from tissue.uncertainty.figures import LEVELS
 from tissue.uncertainty.reweighed import CHANNELS
-from tissue.uncertainty.sample_files import sample_name
+from tissue.uncertainty.sample import sample_name
 
 __all__ = ["read_band", "save_band"]
 
-OVER_TIME, SAMPLES = "band.csv", "band/samples.csv"
+OVER_TIME = "band.csv"
+SAMPLES = "band/samples.csv"
 SEPARATOR = "|"
 """Between the entries of a figure's name in the header of the samples: a layer's name or a sentence may hold a dot."""
 
@@ -76,10 +77,12 @@ def read_band(folder: Path) -> Band:
     held = read_summary(folder).get("band")
     if held is None:
         raise InputError(f"run must have a band, got none in {folder}: make one with run.band(200)")
-    (_, times), (header, samples) = _read(folder / OVER_TIME), _read(folder / SAMPLES)
+    (_, times) = _read(folder / OVER_TIME)
+    (header, samples) = _read(folder / SAMPLES)
     constants = tuple(held["constants"])
     width = 1 + len(constants)
-    nominal, quantiles = times[:, 1 : 1 + len(CHANNELS)], times[:, 1 + len(CHANNELS) :]
+    nominal = times[:, 1 : 1 + len(CHANNELS)]
+    quantiles = times[:, 1 + len(CHANNELS) :]
     if quantiles.shape[1] != len(CHANNELS) * len(LEVELS) or tuple(header[1:width]) != constants:
         raise InputError(f"band.csv must be as run.band wrote it, got another one in {folder}: make the band again")
     over = np.moveaxis(quantiles.reshape(len(times), len(CHANNELS), len(LEVELS)), 2, 0)

@@ -1,6 +1,7 @@
 """The figures of a run that vary with its constants: those of its summary, by names, and their quantiles."""
 
 import re
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from tissue.models.tissue_model import SLOW
 from tissue.simulation.run import Run
 from tissue.simulation.run_summary import Summary
 
-__all__ = ["GREATEST", "LEVELS", "LOADS", "Figure", "figures_of", "intervals", "table_of"]
+__all__ = ["GREATEST", "LEVELS", "LOADS", "Figure", "band_lines", "figures_of", "intervals", "over_time", "table_of"]
 
 Figure = tuple[str, ...]
 """Name of a figure: its place in ``summary.json``, entry by entry; of an event ``events``, a sentence, ``time_s``."""
@@ -21,7 +22,9 @@ LOADS: tuple[Figure, ...] = tuple(
 """Figures that every run has, the first columns of a table; Sobol indices are of these."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
 """A measured number in the sentence of an event; a percentage is a threshold, by which two events differ."""
-PEAKS, STRESS, GREATEST = "_K", "von_mises_", "greatest_"
+PEAKS = "_K"
+STRESS = "von_mises_"
+GREATEST = "greatest_"
 """Ending of columns of a trace (temperatures), and begin of fields, whose greatest value is a figure; how it begins."""
 
 
@@ -31,7 +34,8 @@ def figures_of(run: Run) -> dict[Figure, float]:
     An event is named by its sentence without numbers, and counts the first time that it happens; what the machine was
     too slow for is none.
     """
-    summary, trace = run.summary, run.trace
+    summary = run.summary
+    trace = run.trace
     found: dict[Figure, float] = {name: summary[name[0]][name[1]] for name in LOADS}
     found |= {("removed_mm3", layer): volume for layer, volume in summary["removed_mm3"].items() if summary["cuts"]}
     found["contact_share",] = float((trace["contact_mm2"] > 0.0).mean())
@@ -86,3 +90,88 @@ def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
 def _by_level(values: Array) -> dict[str, float]:
     """Quantiles of numbers by their names."""
     return dict(zip(LEVELS, np.quantile(values, tuple(LEVELS.values())).tolist(), strict=True))
+
+
+REACH = 0.9
+"""Least share of the runs that a quantile over time is of: the 5 and 95 % quantiles of fewer are those of a part."""
+
+
+def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
+    """Quantiles `LEVELS` of loads at each tick, of the runs that reach it, as long as nine in ten do.
+
+    Parameters
+    ----------
+    loads
+        Of each run, shape (ticks of it, channels).
+    times_s
+        Times of the run at nominal constants, shape (n,); beyond its end there are none.
+
+    Returns
+    -------
+    Quantiles, shape (5, ticks, channels), and over which span they hold.
+    """
+    lengths = np.sort([len(each) for each in loads])
+    reached = len(lengths) - np.searchsorted(lengths, np.arange(len(times_s)), side="right")
+    last = int((reached >= REACH * len(lengths)).sum())
+    shortest = min(int(lengths[0]), last)
+    levels = tuple(LEVELS.values())
+    quantiles = np.empty((len(levels), last, loads[0].shape[1]))
+    quantiles[:, :shortest] = np.quantile(np.stack([each[:shortest] for each in loads]), levels, axis=0)
+    for tick in range(shortest, last):
+        quantiles[:, tick] = np.quantile([each[tick] for each in loads if len(each) > tick], levels, axis=0)
+    step_s = times_s[0] if len(times_s) == 1 else times_s[1] - times_s[0]
+    return quantiles, {
+        "ticks": last,
+        "ends_s": float(times_s[last - 1]) if last else 0.0,
+        "run_ends_s": float(times_s[-1]),
+        "shortest_sample_s": float(step_s * lengths[0]),
+        "samples_at_end": int(reached[last - 1]) if last else 0,
+    }
+
+
+def _band_text(band: Summary) -> str:
+    """How a band was made, and the constants that matter most for the peak force."""
+    asked = f", {band['asked']} rounded up to a power of two" if band["asked"] & (band["asked"] - 1) else ""
+    totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
+    first = sorted(totals, key=lambda name: -totals[name])[:3]
+    shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
+    none = "; no Sobol indices of the peak force: it does not vary, or a polynomial explains too little of it"
+    matters = f"; of the variance of the peak force: {shares}" if shares else none
+    return f"{band['samples']} samples{asked}; {band['how']}{matters}"
+
+
+def band_lines(band: Summary) -> Iterator[str]:
+    """How a band was made, its further figures with their 90 % intervals, and what became of its samples."""
+    yield _band_text(band)
+    for name, ends in band.items():
+        if name.startswith(GREATEST):
+            quantity, _, unit = name.removeprefix(GREATEST).rpartition("_")
+            yield f"greatest {quantity.replace('_', ' ')}: 90 % {_between(ends)} {unit}"
+    for layer, ends in band.get("removed_mm3", {}).items():
+        if ends["p95"] > 0.0:
+            yield f"removed {layer}: 90 % {_between(ends)} mm³"
+    for structure, figures in band.get("keep_clear", {}).items():
+        yield f"least distance to {structure}: 90 % {_between(figures['least_distance_mm'])} mm"
+    for sentence, event in band.get("events", {}).items():
+        yield f"{sentence}: in {event['share']:.0%} of the samples, 90 % at {_between(event['time_s'])} s"
+    if "without" in band:
+        names = ", ".join(name for name, why in band["without"].items() if "not vary" in why)
+        yield f"on a given path these do not vary: {names}"
+        if names := ", ".join(name for name, why in band["without"].items() if "not vary" not in why):
+            yield (
+                "these depend on the constants and have no band, for the loads alone were reweighed (--each-run gives "
+                f"one): {names}"
+            )
+    for name, why in band["problems"].items():
+        yield f"{name} failed and is left out: {why}"
+    if (span := band.get("span")) is not None and span["shortest_sample_s"] < span["run_ends_s"] - 0.5e-3:
+        yield (
+            f"samples end at different times, the first at {span['shortest_sample_s']:.3f} s: loads have a band to "
+            f"{span['ends_s']:.3f} s, which {span['samples_at_end']} of {band['samples']} reach"
+        )
+
+
+def _between(ends: dict[str, float]) -> str:
+    low = f"{ends['p05']:.4g}"
+    high = f"{ends['p95']:.4g}"
+    return f"{low} to {high}" if low != high else f"{low}, the same to four digits"

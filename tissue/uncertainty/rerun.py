@@ -11,18 +11,15 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress
-from tissue.materials.prior import Prior
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
-from tissue.scene.used_constants import used_constants
 from tissue.simulation.simulate import simulate
 from tissue.system.pools import LOST, executor
 from tissue.system.workers import first_done
 from tissue.uncertainty.figures import Figure, figures_of
 from tissue.uncertainty.reweighed import with_sizes
-from tissue.uncertainty.sample import Ranges
 
-__all__ = ["Outcome", "Workers", "ranges_of", "reruns"]
+__all__ = ["Outcome", "Workers", "reruns"]
 
 Outcome = tuple[Array, dict[Figure, float]] | str
 """Loads, shape (n, 8), and figures of a run; or why there are none."""
@@ -40,14 +37,6 @@ class Workers:
     count: int = 1
     scheduler: str | None = None
     compute: str = "cpu"
-
-
-def ranges_of(scene: Scene, layers: tuple[str, ...]) -> Ranges:
-    """Constants with a range on which a scene of such layers rests, but those that it sets itself."""
-    used = [one for one in used_constants(scene, layers, varied=True) if one.stated is None]
-    priors = {one.full: Prior.of(one.cited, one.full) for one in used}
-    priors = {name: prior for name, prior in priors.items() if not prior.fixed}
-    return Ranges(tuple(priors), tuple(priors.values()), scene.constants.correlation(tuple(priors)))
 
 
 def reruns(
@@ -68,11 +57,14 @@ def reruns(
             report(f"sample {number + 1} of {len(files)}", number / len(files))
             yield number, _outcome(scene, text, workers.compute)
         return
-    waiting, suspects, barren = list(range(len(files))), list[int](), 0
+    waiting = list(range(len(files)))
+    suspects = list[int]()
+    barren = 0
     while waiting or suspects:
         alone = not waiting
         numbers = [suspects.pop(0)] if alone else waiting
-        returned, given = set[int](), set[int]()
+        returned = set[int]()
+        given = set[int]()
         for number, outcome in _in_pool(scene, files, numbers, workers, report):
             if outcome is None:
                 given.add(number)
@@ -96,7 +88,8 @@ def _in_pool(
     """Outcomes of samples on one pool until it is lost; None of a sample as it is handed out."""
     most = 2 * min(workers.count, len(numbers)) if workers.scheduler is None else len(numbers)
     connected = False
-    fresh, running = iter(numbers), dict[Future[Outcome], int]()
+    fresh = iter(numbers)
+    running = dict[Future[Outcome], int]()
     try:
         with executor(min(workers.count, len(numbers)), workers.scheduler, patience_s=PATIENCE_S) as pool:
             connected = True
@@ -108,7 +101,8 @@ def _in_pool(
                     return
                 report(f"{len(running)} samples are running", min(running.values()) / len(files))
                 for future in first_done(pool, running, report):
-                    error, number = future.exception(), running[future]
+                    error = future.exception()
+                    number = running[future]
                     if isinstance(error, LOST):
                         raise error
                     del running[future]

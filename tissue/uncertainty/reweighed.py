@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from tissue.materials.constants import CuttingCoefficients
 from tissue.materials.prior import Prior
-from tissue.scene.used_constants import used_constants
 from tissue.simulation.load_record import LoadRecord
-from tissue.uncertainty.sample import Ranges
-from tissue.uncertainty.sample_files import sampled
+from tissue.uncertainty.sample import Ranges, ranges_of, sampled
 
 __all__ = ["CHANNELS", "DENSITY", "Reweighed", "density_prior"]
 
@@ -43,16 +41,10 @@ class Reweighed:
     @cached_property
     def ranges(self) -> Ranges:
         """Constants with a range of the layers that the tool met, but those that the scene sets itself."""
-        scene, met = self.record.scene, [self.record.layer_names[at] for at in sorted(self.record.layers)]
-        priors = {
-            one.full: Prior.of(one.cited, one.full)
-            for one in used_constants(scene, met, varied=True)
-            if one.full.startswith("cutting.") and one.stated is None
-        }
-        if (density := density_prior(self.record.notes.get("density law", ""))) is not None:
-            priors[DENSITY] = density
-        priors = {name: prior for name, prior in priors.items() if not prior.fixed}
-        return Ranges(tuple(priors), tuple(priors.values()), scene.constants.correlation(tuple(priors)))
+        met = [self.record.layer_names[at] for at in sorted(self.record.layers)]
+        density = density_prior(self.record.notes.get("density law", ""))
+        further = {} if density is None else {DENSITY: density}
+        return ranges_of(self.record.scene, met, table="cutting.", further=further)
 
     def coefficients(self, x: Array) -> tuple[CuttingCoefficients, ...]:
         """Cutting coefficients of each layer for values of the constants, shape (p,)."""
@@ -78,7 +70,8 @@ class Reweighed:
     def figures(self, x: Array) -> Array:
         """`tissue.uncertainty.figures.LOADS` of samples, shape (samples, 4)."""
         weights = self.weights(x)
-        peak, sums = np.zeros((len(x), 2)), np.zeros((len(x), 2))
+        peak = np.zeros((len(x), 2))
+        sums = np.zeros((len(x), 2))
         for ticks, loads in self._blocks(weights):
             parts = loads.reshape(*loads.shape[:2], 2, 3)
             sizes = np.sqrt(np.einsum("sncd,sncd->snc", parts, parts))
@@ -106,7 +99,8 @@ class Reweighed:
 
 def with_sizes(loads: Array) -> Array:
     """`CHANNELS` of forces and torques, shape (..., 8) of (..., 6)."""
-    force, torque = loads[..., :3], loads[..., 3:]
+    force = loads[..., :3]
+    torque = loads[..., 3:]
     sizes = [np.linalg.norm(each, axis=-1, keepdims=True) for each in (force, torque)]
     return np.concatenate([force, sizes[0], torque, sizes[1]], axis=-1)
 

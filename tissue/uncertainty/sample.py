@@ -1,6 +1,8 @@
 """Constants that vary, and samples of them by quasi-Monte Carlo."""
 
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,11 +12,16 @@ from scipy.stats import qmc
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
+from tissue.materials.constants import Constant
 from tissue.materials.prior import Prior
+from tissue.materials.scene_constants import Materials
+from tissue.scene.scene import Scene
+from tissue.scene.used_constants import used_constants
 
-__all__ = ["LEAST", "MOST", "Ranges", "normals", "rounded"]
+__all__ = ["LEAST", "MOST", "Ranges", "normals", "ranges_of", "rounded", "sample_name", "sample_text", "sampled"]
 
-LEAST, MOST = 16, 65536
+LEAST = 16
+MOST = 65536
 """Samples of a band: with fewer than 16 no sample lies outside 90 %."""
 
 
@@ -63,6 +70,31 @@ class Ranges:
         return np.asarray(np.linalg.cholesky(self.correlation))
 
 
+def ranges_of(
+    scene: Scene, layers: Sequence[str], *, table: str = "", further: Mapping[str, Prior] | None = None
+) -> Ranges:
+    """Return the constants with a range on which a scene rests, except those that it sets itself.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    layers
+        Layers of its bone that count.
+    table
+        Beginning of the names of the constants that count.
+    further
+        Priors of further numbers that vary.
+    """
+    priors = {
+        one.full: Prior.of(one.cited, one.full)
+        for one in used_constants(scene, layers, varied=True)
+        if one.stated is None and one.full.startswith(table)
+    } | dict(further or {})
+    priors = {name: prior for name, prior in priors.items() if not prior.fixed}
+    return Ranges(tuple(priors), tuple(priors.values()), scene.constants.correlation(tuple(priors)))
+
+
 def rounded(asked: int) -> int:
     """Samples for a number asked for: the power of two at or above it, for a Sobol sequence is balanced at those alone.
 
@@ -87,3 +119,34 @@ def normals(count: int, width: int, *, seed: int) -> Array:
         raise InputError(f"constants must be at most {qmc.Sobol.MAXDIM} of a Sobol sequence, got {width}: fix some")
     points = qmc.Sobol(width, scramble=True, seed=seed).random(count)
     return np.asarray(ndtri(np.clip(points, 1e-12, 1.0 - 1e-12)))
+
+
+SOURCE = "a sample of a band"
+
+
+def sample_name(number: int, count: int) -> str:
+    """Name of the file of a sample, such as ``sample_017.toml`` of 256."""
+    return f"sample_{number:0{len(str(count - 1))}d}.toml"
+
+
+def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
+    """Constants with those of a sample in place, by their names ``TABLE.MATERIAL.NAME``, values of shape (p,)."""
+    values = (Constant(value, value, value, SOURCE, "L") for value in map(float, x))
+    drawn = {name: one for name, one in zip(names, values, strict=True) if not name.startswith("density.")}
+    return replace(constants, given={**constants.given, **drawn}, names=(), matrix=())
+
+
+def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
+    """The TOML file of a sample; a factor of the density, which no scene takes, is a comment."""
+    lines = [f"# {name} = {float(value)!r}, which no file of materials holds" for name, value in
+             zip(names, x, strict=True) if name.startswith("density.")]  # fmt: skip
+    for name, one in sampled(constants, names, x).given.items():
+        lines += [
+            "",
+            f"[{name}]",
+            f"value = {one.value!r}",
+            f"range = [{one.low!r}, {one.high!r}]",
+            f"source = {json.dumps(one.source)}",
+            f"confidence = {json.dumps(one.confidence)}",
+        ]
+    return "\n".join(lines).lstrip("\n") + "\n"

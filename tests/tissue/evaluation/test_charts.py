@@ -19,8 +19,7 @@ from tissue.evaluation.charts.reference import reference_gap
 from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, charted, make_ready
 from tissue.evaluation.charts.settings import Setting, by_hand, finest, placed, settings_of
 from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.linear_limits import press_at
-from tissue.fem.newton import NewtonSolver
+from tissue.fem.newton import NewtonSolver, press_at
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.coupling import Fidelity

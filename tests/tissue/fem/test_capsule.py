@@ -9,7 +9,8 @@ from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.capsule import capsule_stiffness
 from tissue.fem.space import Space
 
-YOUNG, POISSON = 8e6, 0.3
+YOUNG = 8e6
+POISSON = 0.3
 
 
 def turned_cube(order):
@@ -36,7 +37,8 @@ def plane_stress_J(space, faces, thickness_m, gradient):
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("some", [False, True])
 def test_a_uniform_strain_has_the_energy_of_plane_stress(order, some):
-    space, rng = turned_cube(order), np.random.default_rng(0)
+    space = turned_cube(order)
+    rng = np.random.default_rng(0)
     faces = space.faces[::3] if some else space.faces
     thickness = rng.uniform(0.5, 2.0, len(faces)) * 1e-4
     options = {"faces": faces} if some else {}

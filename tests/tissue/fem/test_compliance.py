@@ -9,7 +9,7 @@ from basis_error import basis_error
 from held_cube import BOTTOM, SURFACE, body_of, energy_error, load_on
 
 from meshes.base.errors import InputError
-from tissue.fem.outcome import SolverOutcome
+from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.fem.solvers import condensed
 from tissue.fem.solvers.condensed import compliance_bytes, surface_compliance_m_N
 from tissue.fem.solvers.direct import DirectSolver
@@ -38,7 +38,8 @@ def test_the_compliance_is_found_once_symmetric_and_positive(monkeypatch):
 
 def test_the_compliance_read_off_a_factor_is_that_of_back_substitutions(monkeypatch, tmp_path):
     """Held nodes among the touchable ones give nothing; rounding of two factors in different orders."""
-    body, shares = body_of(), []
+    body = body_of()
+    shares = []
     read = surface_compliance_m_N(body, SURFACE)
     monkeypatch.setattr(condensed, "SCHUR_UNKNOWNS", 0)
     monkeypatch.setenv("TISSUE_CACHE", str(tmp_path / "other"))
@@ -103,7 +104,8 @@ def test_a_node_asked_for_again_while_it_is_found_is_kept_once():
 
 
 def test_columns_on_demand_are_poured_one_node_at_a_time_into_a_matrix_of_all():
-    there, whole = lazy(SURFACE), surface_compliance_m_N(body_of(), SURFACE)
+    there = lazy(SURFACE)
+    whole = surface_compliance_m_N(body_of(), SURFACE)
     matrix = np.full((3 * len(SURFACE),) * 2, np.nan)
     for near in ([5, 9, 30], [9, 31]):
         there.want(np.array(near))
@@ -207,7 +209,8 @@ def test_residual_blocks_make_a_single_node_as_soft_as_it_is():
     body = body_of()
     free = SURFACE[~BOTTOM[SURFACE]]
     solver = ReducedSolver(DirectSolver(body), free, size=10)
-    whole, reduced = surface_compliance_m_N(body, free), solver.compliance_m_N()
+    whole = surface_compliance_m_N(body, free)
+    reduced = solver.compliance_m_N()
     for node in range(0, len(free), 7):
         part = slice(3 * node, 3 * node + 3)
         assert np.abs(reduced[part, part] - whole[part, part]).max() < 1e-12 * np.abs(whole).max()

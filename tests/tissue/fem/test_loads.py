@@ -35,7 +35,8 @@ def test_loads_do_the_work_of_a_linear_field(order):
     space = Space(distorted(3), order)
     moved = space.nodes_m @ FIELD.T
     assert (pressure(space, 7.0) * moved).sum() == pytest.approx(-7.0 * np.trace(FIELD))
-    pull, middle = np.array([1.0, 2.0, -3.0]), np.full(3, 0.5)
+    pull = np.array([1.0, 2.0, -3.0])
+    middle = np.full(3, 0.5)
     assert (gravity(space, density_kg_m3=1060.0, acceleration_m_s2=pull) * moved).sum() == pytest.approx(
         1060.0 * pull @ FIELD @ middle
     )

@@ -15,7 +15,7 @@ from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.materials.hyperelasticity import Hyperelastic
-from tissue.models.organ.large_fields import cauchy_stress
+from tissue.models.organ.fields import cauchy_stress
 
 SIDE_M = 0.03
 LAME = lame(5e3, 0.45)
@@ -54,7 +54,8 @@ SOFTENING = Hyperelastic.yeoh(0.5 * LAME[1], -0.04 * LAME[1], 0.0, bulk_Pa=LAW.b
 def softening_bar() -> tuple[Space, HeldBody, QuasiNewton, NonlinearBody]:
     """A cube of that law, whose tangents are refused where they are not positive definite."""
     space = Space(box((SIDE_M,) * 3, (1, 1, 1)), 2)
-    held, nodes = HeldBody(assemble(space, LAME), space.nodes_m, np.abs(space.nodes_m) < 1e-12), np.arange(27)
+    held = HeldBody(assemble(space, LAME), space.nodes_m, np.abs(space.nodes_m) < 1e-12)
+    nodes = np.arange(27)
 
     def solver_of(stiffness):
         return DirectSolver(HeldBody(stiffness, space.nodes_m, held.fixed), last=nodes, definite=True)

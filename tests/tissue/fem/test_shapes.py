@@ -12,7 +12,8 @@ def rule(corners, parts=24):
     """Barycentric midpoints of a fine division of a simplex by collapsed cubes, with weights that add up to 1."""
     line = (np.arange(parts) + 0.5) / parts
     axes = np.stack(np.meshgrid(*[line] * (corners - 1), indexing="ij"), axis=-1).reshape(-1, corners - 1)
-    left, places = np.ones(len(axes)), []
+    left = np.ones(len(axes))
+    places = []
     for at in range(corners - 1):
         places.append(left * axes[:, at])
         left = left * (1.0 - axes[:, at])
@@ -42,7 +43,8 @@ def test_slopes_and_products_of_gradients(corners, order):
     """d N_A / d l_c by central differences, exact for quadratics; their products' means by the rule."""
     places, weights = rule(corners)
     slopes = gradient_slopes(corners, order)
-    step, chosen = 1e-3, places[:: len(places) // 50]
+    step = 1e-3
+    chosen = places[:: len(places) // 50]
     gradients = np.zeros((len(places), *slopes.shape[:2]))
     for c in range(corners):
         shift = step * np.eye(corners)[c]

@@ -14,14 +14,16 @@ def on_surface(count: int, seed: int) -> np.ndarray:
     """Points on the six faces of the block."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(0.0, 1.0, (count, 3)) * SIZE_M
-    axis, side = rng.integers(0, 3, count), rng.integers(0, 2, count)
+    axis = rng.integers(0, 3, count)
+    side = rng.integers(0, 2, count)
     points[np.arange(count), axis] = side * np.array(SIZE_M)[axis]
     return points + box(SIZE_M, (1, 1, 1)).nodes_m.min(axis=0)
 
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_fields_up_to_the_order_are_taken_over_exactly(order):
-    space, points = Space(box(SIZE_M, (3, 2, 2)), order), on_surface(200, 0)
+    space = Space(box(SIZE_M, (3, 2, 2)), order)
+    points = on_surface(200, 0)
 
     def field(at: np.ndarray) -> np.ndarray:
         x, y, z = 1e2 * at.T
@@ -32,7 +34,8 @@ def test_fields_up_to_the_order_are_taken_over_exactly(order):
 
 
 def test_forces_and_their_moments_are_kept():
-    space, points = Space(box(SIZE_M, (3, 2, 2)), 2), on_surface(100, 1)
+    space = Space(box(SIZE_M, (3, 2, 2)), 2)
+    points = on_surface(100, 1)
     forces = np.random.default_rng(2).normal(size=points.shape)
     nodal = surface_transfer(space, points).T @ forces
     np.testing.assert_allclose(nodal.sum(axis=0), forces.sum(axis=0), atol=1e-12)
@@ -52,7 +55,8 @@ def test_a_point_off_the_surface_is_taken_as_the_nearest_on_it():
     space = Space(box(SIZE_M, (2, 2, 2)), 1)
     x, y, _ = 0.3 * space.nodes_m.min(axis=0) + 0.7 * space.nodes_m.max(axis=0)
     top = float(space.nodes_m[:, 2].max())
-    above, on = np.array([[x, y, top + 1e-3]]), np.array([[x, y, top]])
+    above = np.array([[x, y, top + 1e-3]])
+    on = np.array([[x, y, top]])
     np.testing.assert_allclose(
         surface_transfer(space, above).toarray(), surface_transfer(space, on).toarray(), atol=1e-9
     )

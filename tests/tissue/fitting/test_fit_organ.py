@@ -6,9 +6,8 @@ import pytest
 import tissue
 from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.log import read_log
-from tissue.fitting.organ_constants import organ_parameters
 from tissue.fitting.organ_problem import EVERY, FARTHEST
-from tissue.fitting.organ_runs import OrganRuns, Poses
+from tissue.fitting.organ_runs import OrganRuns, Poses, organ_parameters
 from tissue.materials.prior import Z_95
 from tissue.scene.load import changed
 
@@ -27,7 +26,8 @@ def log(tmp_path_factory):
     (folder / "planted.toml").write_text(text, "utf-8")
     planted = {"materials": str(folder / "planted.toml"), "organ.friction": 0.2}
     table = tissue.simulate(tissue.load_scene("palpation", SCENE | planted)).to_pandas()
-    rng, times = np.random.default_rng(2), table["time_s"].to_numpy()
+    rng = np.random.default_rng(2)
+    times = table["time_s"].to_numpy()
     kept = table[["time_s", *(f"tool_{c}_mm" for c in "xyz")]].copy()
     for c in "xyz":
         force = np.interp(times - 0.008, times, table[f"model_force_{c}_N"])
@@ -39,7 +39,8 @@ def log(tmp_path_factory):
 @pytest.mark.slow
 def test_modulus_and_friction_come_back(log, tmp_path):
     fit = tissue.fit(tissue.load_scene("palpation", SCENE), log, cores=1)
-    posterior, table = fit.fitted.posterior, fit.to_pandas()
+    posterior = fit.fitted.posterior
+    table = fit.to_pandas()
     assert posterior.converged and posterior.names == ("soft.liver.modulus_kPa", "organ.friction")
     for name, planted in (("soft.liver.modulus_kPa", 8.0), ("organ.friction", 0.2)):
         row = table.loc[name]
@@ -51,25 +52,12 @@ def test_modulus_and_friction_come_back(log, tmp_path):
     fit.save(tmp_path / "fit")
     text = (tmp_path / "fit" / "fitted.toml").read_text("utf-8")
     assert "modulus_kPa" in text and "friction" not in text
-    forward, rng = posterior.target.forward, np.random.default_rng(3)
+    forward = posterior.target.forward
+    rng = np.random.default_rng(3)
     x = posterior.target.x(rng.multivariate_normal(posterior.mean_z, posterior.covariance_z))
     (again,) = runs_of(fit)([dict(zip(posterior.names, x.tolist(), strict=True))])
     off = np.sqrt(np.mean((forward.loads(x) - again) ** 2))
     assert off < 0.2 * posterior.nuisances.scale.min(), "loads between runs, against a run"
-
-
-@pytest.mark.slow
-def test_forces_in_kilonewtons_are_doubtful(log, tmp_path):
-    import pandas
-
-    table = pandas.read_csv(log)
-    weak = table.assign(**{f"force_{c}_N": 1e-3 * table[f"force_{c}_N"] for c in "xyz"})
-    weak.to_csv(tmp_path / "weak.csv", index=False)
-    scene = tissue.load_scene("palpation", SCENE)
-    fit = tissue.fit(scene, tmp_path / "weak.csv", free=["soft.modulus_kPa"], cores=1)
-    (modulus,) = fit.fitted.constants
-    assert modulus.state == "doubtful" and modulus.value < 0.02
-    assert any("times below its range of 2 to 15" in each for each in fit.verdicts)
 
 
 def runs_of(fit):
@@ -80,7 +68,8 @@ def runs_of(fit):
 
 
 def test_a_log_that_never_touches_is_refused(tmp_path):
-    times, forces = np.arange(0.0, 1.0, 1e-3), np.random.default_rng(0).standard_normal((1000, 3))
+    times = np.arange(0.0, 1.0, 1e-3)
+    forces = np.random.default_rng(0).standard_normal((1000, 3))
     tips = np.column_stack([20.0 * times, 0.0 * times, 30.0 + 0.0 * times])
     write_log(tmp_path / "air.csv", times, tips, forces)
     with pytest.raises(tissue.InputError, match="measured must bring the tool to the organ"):
@@ -147,7 +136,8 @@ def test_the_modulus_of_a_part_comes_back_from_a_slide_over_it(tmp_path):
         "anatomy.nodule_centre_mm": [8, 0, -14], "organ.young_kPa": 5.0, "organ.order": 1,
         "organ.parts": {"nodule": 60.0}, "organ.viscous": False, "organ.friction": 0.0,
     }  # fmt: skip
-    corners, planted = [[-12, 0, 0.5], [-12, 0, -2], [12, 0, -2]], {"organ.young_kPa": 6.5, "organ.parts.nodule": 40.0}
+    corners = [[-12, 0, 0.5], [-12, 0, -2], [12, 0, -2]]
+    planted = {"organ.young_kPa": 6.5, "organ.parts.nodule": 40.0}
     scene = pressed(tmp_path / "log.csv", changes, corners, [0.0, 0.1, 1.0], planted, noise_N=5e-4, seed=6)
     assert_found(tissue.fit(scene, tmp_path / "log.csv", cores=1).to_pandas(), planted)
 
@@ -160,20 +150,11 @@ STIFFENING = {
 
 @pytest.mark.slow
 def test_modulus_and_exponent_of_a_hyperelastic_law_come_back_from_a_deep_press(tmp_path):
-    corners, times = [[0, 0, 0.5], [0, 0, -5], [0, 0, -5], [0, 0, -1]], [0.0, 0.4, 0.6, 0.9]
+    corners = [[0, 0, 0.5], [0, 0, -5], [0, 0, -5], [0, 0, -1]]
+    times = [0.0, 0.4, 0.6, 0.9]
     planted = {"organ.young_kPa": 6.0, "organ.exponent": 18.0}
     scene = pressed(tmp_path / "log.csv", STIFFENING, corners, times, planted, noise_N=2e-3, seed=7)
     assert_found(tissue.fit(scene, tmp_path / "log.csv", cores=1).to_pandas(), planted)
-
-
-@pytest.mark.slow
-def test_a_shallow_press_does_not_show_a_laws_exponent(tmp_path):
-    corners, times = [[0, 0, 0.2], [0, 0, -0.4]], [0.0, 0.6]
-    scene = pressed(tmp_path / "log.csv", STIFFENING, corners, times, {}, noise_N=1e-3, seed=8)
-    fit = tissue.fit(scene, tmp_path / "log.csv", cores=1)
-    table = fit.to_pandas()
-    assert table.loc["organ.exponent", "state"] == "at its prior"
-    assert table.loc["organ.young_kPa", "state"] == "determined"
 
 
 def test_what_gives_a_law_its_shape_is_free_where_it_has_one():
@@ -205,12 +186,3 @@ def test_a_share_of_one_and_a_negative_exponent_are_not_free():
     for law, name, value in (("mooney-rivlin", "second_share", 1.0), ("ogden", "exponent", -8.0)):
         scene = tissue.load_scene("palpation", SCENE | {"organ.law": law, f"organ.{name}": value})
         assert f"organ.{name}" not in [each.name for each in organ_parameters(scene, ())[0]]
-
-
-@pytest.mark.slow
-def test_a_share_near_its_upper_end_is_fitted_within_its_range(tmp_path):
-    law = {"organ.law": "mooney-rivlin", "organ.second_share": 0.9}
-    changes = {name: value for name, value in STIFFENING.items() if name != "organ.exponent"} | law
-    scene = pressed(tmp_path / "log.csv", changes, [[0, 0, 0.2], [0, 0, -1]], [0.0, 0.6], {}, noise_N=1e-3, seed=9)
-    row = tissue.fit(scene, tmp_path / "log.csv", cores=1).to_pandas().loc["organ.second_share"]
-    assert 0.0 < row["p05"] < 0.9 < row["p95"] < 1.0

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from tissue.fitting.experiments import expected_information
-from tissue.fitting.forward import LinearForward
-from tissue.fitting.identifiability import identified
+from tissue.fitting.forward import LinearForward, Parameter
+from tissue.fitting.identifiability import expected_information, identified
 from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.parameter import Parameter
 from tissue.fitting.posterior import Posterior
 from tissue.fitting.target import BIAS_SHARE, CORRELATION_SPREAD, FREEDOM, MOST_CORRELATED, OFFSET_S, Target
 from tissue.materials.prior import Prior
@@ -33,7 +31,8 @@ def posterior():
     log = MeasuredLoads(TIMES_S, forward.loads(np.array([6.0, 3.0])) + rng.standard_normal((200, 1)), ("force_z_N",))
     target = Target(forward, log)
     u = np.zeros(target.size)
-    u[:2], u[5] = (0.3, -0.2), np.arctanh(PHI / MOST_CORRELATED) / CORRELATION_SPREAD
+    u[:2] = (0.3, -0.2)
+    u[5] = np.arctanh(PHI / MOST_CORRELATED) / CORRELATION_SPREAD
     root = 0.3 * rng.standard_normal((target.size, target.size))
     return Posterior(target, u, root @ root.T, converged=True)
 

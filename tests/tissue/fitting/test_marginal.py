@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from cut_logs import forward_along
 
-from tissue.fitting.averaged import block_averages
-from tissue.fitting.forward import LinearForward
+from tissue.fitting.forward import LinearForward, Parameter
 from tissue.fitting.identifiability import identified
 from tissue.fitting.marginal import NEGLIGIBLE, log_density_at
-from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.parameter import Parameter
+from tissue.fitting.measured import MeasuredLoads, block_averages
 from tissue.fitting.posterior import maximum_posterior
 from tissue.materials.prior import Prior
 
@@ -34,7 +32,8 @@ def posterior(request):
 @pytest.fixture(scope="module")
 def summed(posterior):
     """Quantiles and spread of the number, offset and bias summed over by Gauss-Hermite points as well."""
-    target, u = posterior.target, posterior.maximum
+    target = posterior.target
+    u = posterior.maximum
     places = np.linspace(-5.0, 5.0, 101)
     points, weights = np.polynomial.hermite_e.hermegauss(9)
     offset_spread, bias_spread = np.sqrt(np.diag(posterior.covariance)[1:3])
@@ -60,7 +59,8 @@ def test_quantiles_and_spread(posterior, summed):
 
 def test_a_normal_law_would_call_a_hidden_constant_known(posterior, summed):
     """Where the load is in the noise, the normal law about the maximum is too narrow."""
-    laplace, spread = posterior.covariance[0, 0] ** 0.5, summed[1]
+    laplace = posterior.covariance[0, 0] ** 0.5
+    spread = summed[1]
     if posterior.maximum[0] < 1.5:
         assert laplace < 0.9 * spread
         assert identified(posterior).determined == ()
@@ -70,7 +70,8 @@ def test_a_normal_law_would_call_a_hidden_constant_known(posterior, summed):
 
 def test_constants_known_only_by_their_sum():
     """What is left of two ranges that span decades is the product of their laws along the line of the sum."""
-    priors, total = (Prior(0.01, 0.0, 0.1), Prior(0.03, 0.005, 0.2)), 0.06
+    priors = (Prior(0.01, 0.0, 0.1), Prior(0.03, 0.005, 0.2))
+    total = 0.06
     basis = np.sin(9.0 * TIMES_S)[:, None, None]
     names = [Parameter(f"cutting.bone.{name}_N_mm", prior) for name, prior in zip("ab", priors, strict=True)]
     forward = LinearForward(tuple(names), ("force_z_N",), TIMES_S, np.repeat(basis, 2, axis=2))
@@ -78,7 +79,8 @@ def test_constants_known_only_by_their_sum():
     posterior = maximum_posterior(forward, MeasuredLoads(TIMES_S, total * basis[:, :, 0] + noise, ("force_z_N",)))
     z = np.linspace(-8.0, 8.0, 200_001)
     first = priors[0].x(z)
-    z, first = z[first < total], first[first < total]
+    z = z[first < total]
+    first = first[first < total]
     other = priors[1].z(total - first)
     density = np.exp(-0.5 * (z**2 + other**2)) / priors[1].slope(other)
     whole = np.cumsum(density * np.gradient(z))
@@ -94,10 +96,13 @@ def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
     loads += 0.002 * np.abs(loads).max() * np.random.default_rng(1).standard_t(4, loads.shape)
     forward, log = forward.averaged_as(block_averages(forward.times_s, loads, forward.channels[:3], 5))
     posterior = maximum_posterior(forward, log)
-    target, maximum, covariance = posterior.target, posterior.maximum, posterior.covariance
+    target = posterior.target
+    maximum = posterior.maximum
+    covariance = posterior.covariance
     compared = 0
     for at in range(len(forward.parameters)):
-        top, spread = log_density_at(target, maximum, at)[0], covariance[at, at] ** 0.5
+        top = log_density_at(target, maximum, at)[0]
+        spread = covariance[at, at] ** 0.5
         for step in (-2.0 * spread, 2.0 * spread):
             along = log_density_at(target, maximum + step * covariance[:, at] / covariance[at, at], at)[0] - top
             straight = log_density_at(target, maximum + step * np.eye(target.size)[at], at)[0] - top
@@ -105,3 +110,16 @@ def test_the_density_of_a_constant_of_a_cut_does_not_depend_on_the_start():
                 assert straight == pytest.approx(along, rel=0.03, abs=0.1)  # far down the density matters little
                 compared += 1
     assert compared >= 10
+
+
+def test_an_offset_that_leaves_a_jump_between_two_samples_is_not_known_within_them():
+    """Poses at 1 kHz, loads read each 20 ms: a load that jumps 8 ms after a sample jumps anywhere in those 20 ms."""
+    times = 1e-3 * np.arange(2000)
+    basis = np.where(times > 1.008, 1.0, 0.0)[:, None, None]
+    forward = LinearForward((Parameter("cutting.bone.k_N_mm", Prior(5.0, 1.0, 25.0)),), ("force_z_N",), times, basis)
+    rng = np.random.default_rng(4)
+    values = 6.0 * basis[::20, :, 0] + 0.05 * rng.standard_normal((100, 1))
+    found = maximum_posterior(forward, MeasuredLoads(times[::20], values, ("force_z_N",)))
+    low, high = found.offset_interval_s
+    # uniform between -8 and 12 ms, weighed by the prior of 20 ms
+    assert (low, high) == pytest.approx((-0.007, 0.011), abs=0.0015)

@@ -7,7 +7,9 @@ from scipy.stats import t as student
 
 from tissue.fitting.noise import freedom_information, innovations, noise_terms, place_information
 
-SCALE, PHI, FREEDOM = np.array([0.3, 2.0]), np.array([0.0, 0.8]), np.array([4.0, 9.0])
+SCALE = np.array([0.3, 2.0])
+PHI = np.array([0.0, 0.8])
+FREEDOM = np.array([4.0, 9.0])
 
 
 @pytest.fixture
@@ -38,7 +40,8 @@ def test_a_chain_is_a_product_of_conditional_densities_that_starts_anew_after_a_
 
 
 def test_the_gradient_is_that_of_the_density(residuals):
-    terms, step = noise_terms(residuals, SCALE, PHI, FREEDOM), 1e-6
+    terms = noise_terms(residuals, SCALE, PHI, FREEDOM)
+    step = 1e-6
 
     def slope(residuals_by=0.0, scale_by=0.0, phi_by=0.0, freedom_by=0.0):
         up, down = (
@@ -66,24 +69,6 @@ def test_weights_give_the_gradient_of_a_sum_of_squares(residuals):
     moved = innovations(np.where(np.isfinite(residuals), direction, np.nan), PHI)
     expected = -np.nansum(terms.weights * innovations(residuals, PHI) * moved)
     assert np.sum(terms.by_residuals * direction) == pytest.approx(expected, rel=1e-12)
-
-
-def test_an_outlier_pulls_less_the_further_out_it_lies():
-    pull = lambda size: abs(noise_terms(np.array([[size]]), np.ones(1), np.zeros(1), FREEDOM[:1]).by_residuals[0, 0])  # noqa: E731
-    assert pull(2.0) > pull(10.0) > pull(100.0)
-
-
-def test_the_true_scale_and_correlation_are_where_the_density_is_greatest():
-    rng = np.random.default_rng(6)
-    chain = np.zeros((20_000, 1))
-    shocks = 0.5 * rng.standard_t(4.0, size=len(chain))
-    for row in range(1, len(chain)):
-        chain[row] = 0.7 * chain[row - 1] + shocks[row]
-    terms = noise_terms(chain, np.array([0.5]), np.array([0.7]), np.array([4.0]))
-    # the score is normal about zero with the Fisher information as its variance: within three standard deviations
-    assert abs(terms.by_log_scale[0]) < 3.0 * np.sqrt(len(chain) * 8.0 / 7.0)
-    assert abs(terms.by_correlation[0]) < 3.0 * np.sqrt(len(chain) * np.mean(chain**2) * 5.0 / 7.0 / 0.25)
-    assert abs(terms.by_freedom[0]) < 3.0 * np.sqrt(len(chain) * freedom_information(np.array([4.0]))[0][0])
 
 
 @pytest.mark.parametrize("freedom", [2.5, 4.0, 30.0])

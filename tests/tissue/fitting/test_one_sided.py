@@ -5,10 +5,9 @@ import pytest
 from scipy.special import gammaln
 from scipy.stats import multivariate_normal, norm
 
-from tissue.fitting.forward import LinearForward
+from tissue.fitting.forward import LinearForward, Parameter
+from tissue.fitting.marginal import log_factor
 from tissue.fitting.measured import MeasuredLoads
-from tissue.fitting.one_sided import log_factor
-from tissue.fitting.parameter import Parameter
 from tissue.fitting.posterior import maximum_posterior
 from tissue.materials.prior import Prior
 
@@ -67,7 +66,9 @@ def confounded(planted, seed):
 
 def student(residuals, noise):
     """Log density of residuals, shape (..., m, c), for the noise that a fit found, written out anew."""
-    nu, scale, phi = noise.freedom, noise.scale, noise.correlation
+    nu = noise.freedom
+    scale = noise.scale
+    phi = noise.correlation
     first = np.sqrt(1.0 - phi**2) * residuals[..., :1, :]
     e = np.concatenate([first, residuals[..., 1:, :] - phi * residuals[..., :-1, :]], axis=-2)
     constant = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi) - np.log(scale)
@@ -80,7 +81,8 @@ def test_intervals_of_confounded_constants_are_those_of_a_sum_over_a_grid(plante
     posterior = maximum_posterior(forward, log)
     noise = posterior.nuisances
     z = np.linspace(-1.6, 1.6, 181)
-    radial, axial = forward.parameters[0].prior.x(z), np.linspace(0.0, 10.0, 121)
+    radial = forward.parameters[0].prior.x(z)
+    axial = np.linspace(0.0, 10.0, 121)
     # Bias and offset are known well and do not move the loads' shape: they are kept at the maximum.
     shifted = np.stack([np.interp(TIMES_S - noise.offset_s, TIMES_S, each) for each in forward.basis[:, 0].T], axis=-1)
     basis = np.stack([shifted, 0.2 * shifted * [1.0, 0.0]], axis=1)

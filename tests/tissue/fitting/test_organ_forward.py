@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from tissue.fitting.organ_constants import organ_parameters
-from tissue.fitting.organ_forward import OrganForward
-from tissue.fitting.organ_runs import OrganRuns, Poses
-from tissue.fitting.parameter import Parameter
+from tissue.fitting.forward import Parameter
+from tissue.fitting.organ_problem import OrganForward
+from tissue.fitting.organ_runs import OrganRuns, Poses, organ_parameters
 from tissue.materials.prior import Prior
 from tissue.scene.load import load_scene
 
-FIRST, SECOND, FRICTION = 5.0, 50.0, 0.3
+FIRST = 5.0
+SECOND = 50.0
+FRICTION = 0.3
 SLAB = {
     "anatomy.size_mm": [40, 30, 15], "anatomy.nodule_diameter_mm": None, "anatomy.edge_mm": 10.0,
     "anatomy.touch_edge_mm": 6.0, "organ.parts": None, "organ.interval_ms": 0.0, "motion.points_mm": [[0, 0, 1], [0, 0, -1]],
@@ -22,7 +23,9 @@ POSES = Poses(
 
 def closed(x):
     """Loads of springs in parallel with friction, which multiplies them, and the logarithm of a time, also together."""
-    base, friction, late = np.arange(1.0, 7.0).reshape(3, 2), x[2], np.log(x[3])
+    base = np.arange(1.0, 7.0).reshape(3, 2)
+    friction = x[2]
+    late = np.log(x[3])
     others = 3.0 * friction - friction**2 + 0.5 * late**2 + 0.4 * friction * late
     return base * x[0] + base**2 * x[1] + x[0] * base * others
 
@@ -37,7 +40,8 @@ def forward(moduli):
     base = np.arange(1.0, 7.0).reshape(3, 2)
     of_first = np.zeros_like(base) if moduli else (closed(at) - base**2 * SECOND) / FIRST
     late = np.log(0.5)
-    of_friction, of_time = 3.0 - 2.0 * FRICTION + 0.4 * late, late + 0.4 * FRICTION
+    of_friction = 3.0 - 2.0 * FRICTION + 0.4 * late
+    of_time = late + 0.4 * FRICTION
     slopes = [of_first, base**2, FIRST * base * of_friction, FIRST * base * of_time]
     curved = [0.0 * base, 0.0 * base, -FIRST * base, 0.5 * FIRST * base]
     mixed = np.zeros((*base.shape, 4, 4))
@@ -53,7 +57,8 @@ def test_loads_that_are_proportional_to_all_moduli_need_no_slope_by_the_first():
 
 
 def test_jacobian_against_differences():
-    x, model = np.array([11.0, 20.0, 0.7, 0.2]), forward((0, 1))
+    x = np.array([11.0, 20.0, 0.7, 0.2])
+    model = forward((0, 1))
     for at, step in enumerate(1e-4 * np.eye(4)):
         expected = (model.loads(x + step) - model.loads(x - step)) / 2e-4
         np.testing.assert_allclose(model.jacobian(x)[..., at], expected, rtol=1e-6)
@@ -71,7 +76,8 @@ def test_another_run_corrects_slopes_along_its_step_alone():
 
 
 def test_slopes_move_with_the_run_along_parabolas():
-    model, at = forward((0, 1)), np.array([FIRST, 80.0, 0.6, 0.8])
+    model = forward((0, 1))
+    at = np.array([FIRST, 80.0, 0.6, 0.8])
     moved = model.moved(at, closed(at), learnt=0.1)
     x = np.array([4.0, 90.0, 0.2, 0.3])
     np.testing.assert_allclose(moved.loads(x), closed(x), rtol=1e-12)

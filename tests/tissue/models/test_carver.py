@@ -54,7 +54,8 @@ def slide(bone, start_m, along, travels_m):
     motion.heading[0] = along
     motion.tip_m[:] = start_m
     bone.place(motion)
-    before, removed = removed_m3(bone), []
+    before = removed_m3(bone)
+    removed = []
     for travel in travels_m:
         motion.tip_m[:] = start_m + travel * along
         bone.advance(motion)
@@ -79,7 +80,8 @@ def test_a_slow_tool_is_carved_a_tenth_of_a_voxel_late_on_average():
 
 def test_a_tool_that_only_turns_is_carved_as_far_as_its_far_end_moves():
     """Pappus: a ball turned about its tip by a sweeps pi R^2 times R a; its far end, 2 R away, sets the lag."""
-    radius, step = 1e-3, 2.5e-4
+    radius = 1e-3
+    step = 2.5e-4
     angles = np.arange(401) * step
     bone = solid_bone(radius, 2.4e-3)
     removed = turn_about_tip(bone, [1e-5, 2e-5, -1e-3], angles)
@@ -99,7 +101,8 @@ def test_a_tool_that_turns_far_in_one_tick_leaves_no_gap():
 
 
 def test_a_tool_that_moves_far_in_one_tick_leaves_no_gap():
-    radius, along = 1e-3, np.array([0.48, 0.6, 0.64])
+    radius = 1e-3
+    along = np.array([0.48, 0.6, 0.64])
     bone = solid_bone(radius, 2.4e-3)
     removed = slide(bone, np.array([-3e-4, -4e-4, -1.3e-3]), along, [1e-3])
     assert removed[-1] == pytest.approx(np.pi * radius**2 * 1e-3, rel=3e-3)
@@ -112,7 +115,9 @@ def test_the_groove_of_a_small_ball_is_straight_along_its_path(along):
     A ball of 3 voxels curves away from its tangent plane by 1/12 of a voxel over R on average, the groove that it
     leaves by half of that: taking the ball's curvature for the groove's is wrong by 0.014 of a voxel.
     """
-    radius, along, length = 3e-4, np.asarray(along), 3e-3
+    radius = 3e-4
+    along = np.asarray(along)
+    length = 3e-3
     bone = solid_bone(radius, 2.4e-3)
     start = -0.5 * length * along + np.array([1.3e-5, 2.1e-5, 0.7e-5 - radius])
     slide(bone, start, along, np.arange(1, 301) * 1e-5)
@@ -124,7 +129,8 @@ def test_the_groove_of_a_small_ball_is_straight_along_its_path(along):
 
 def test_a_tool_at_rest_is_brought_up_to_date_in_sixteen_ticks():
     """All that it owes after a short move is carved while it rests, without `finish`."""
-    radius, along = 1e-3, np.array([0.6, 0.0, -0.8])
+    radius = 1e-3
+    along = np.array([0.6, 0.0, -0.8])
     bone = solid_bone(radius, 2.4e-3)
     travels = np.concatenate([np.arange(1, 11) * 1e-6, np.full(16, 1e-5)])
     removed = slide(bone, np.array([0.0, 0.0, -1e-3]), along, travels)
@@ -163,7 +169,8 @@ def test_a_long_step_is_carved_in_parts_of_half_a_voxel_at_most():
 def test_a_tool_that_turns_first_completes_its_cut_and_keeps_it_as_an_older_one(degrees, turns):
     """It turns where its direction keeps less than 0.9, that is from 26 degrees on; 10 um before that are owed."""
     radius = 1e-3
-    bone, down = solid_bone(radius, 2.4e-3), np.array([0.0, 0.0, -1.0])
+    bone = solid_bone(radius, 2.4e-3)
+    down = np.array([0.0, 0.0, -1.0])
     travels = np.arange(1, 11) * 1e-6
     removed = slide(bone, np.array([0.0, 0.0, -1e-3]), down, travels)
     start = removed_m3(bone) - removed[-1]

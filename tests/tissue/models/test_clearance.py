@@ -14,7 +14,8 @@ from tissue.models.keep_clear import KeepClear, Structure
 from tissue.models.tissue_model import ToolMotion
 
 SECTIONS = 128
-ABOVE_MM, BELOW_MM = 1e-6, 0.01
+ABOVE_MM = 1e-6
+BELOW_MM = 0.01
 """How far a distance may lie above the true one, and below it."""
 BALL = profile.ball_burr(diameter_m=3e-3)
 MILL = profile.cylinder(diameter_m=3e-3, length_m=8e-3)
@@ -37,7 +38,8 @@ class Frame:
 
     def __init__(self, seed, made, shape):
         rng = np.random.default_rng(seed)
-        self.turn, self.shift = Rotation.random(random_state=seed), rng.uniform(-0.5, 0.5, 3)
+        self.turn = Rotation.random(random_state=seed)
+        self.shift = rng.uniform(-0.5, 0.5, 3)
         vertices = self.turn.apply(np.asarray(made.vertices)) + self.shift
         self.clear = KeepClear(shape, {"nerve": Structure(vertices, np.asarray(made.faces))})
 
@@ -57,9 +59,11 @@ def require_safe(found_mm, exact_m):
 @pytest.mark.parametrize("diameter_mm", [1.0, 0.6, 0.3])
 def test_ball_and_cylinder(diameter_mm):
     """Distance of the ball's centre from the axis, less both radii, apart and in each other up to the very axis."""
-    frame, rng = Frame(3, nerve(1e-3 * diameter_mm), BALL), np.random.default_rng(1)
+    frame = Frame(3, nerve(1e-3 * diameter_mm), BALL)
+    rng = np.random.default_rng(1)
     for apart in [0.0, 1e-5, 1.5e-3 + 0.5e-3 * diameter_mm, *rng.uniform(0.0, 4e-3, 60)]:
-        angle, along = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-8e-3, 8e-3)
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        along = rng.uniform(-8e-3, 8e-3)
         turn = Rotation.random(random_state=rng.integers(1000))
         centre = np.array([apart * np.cos(angle), apart * np.sin(angle), along])
         found = frame(centre - turn.apply([0.0, 0.0, 1.5e-3]), turn)
@@ -69,7 +73,8 @@ def test_ball_and_cylinder(diameter_mm):
 @pytest.mark.parametrize("diameter_mm", [1.0, 0.6, 0.3])
 def test_end_mill_and_cylinder(diameter_mm):
     """Under the face, next to the side and diagonally off the rim, where the distance is plain."""
-    frame, radius = Frame(5, nerve(1e-3 * diameter_mm), MILL), 0.5e-3 * diameter_mm
+    frame = Frame(5, nerve(1e-3 * diameter_mm), MILL)
+    radius = 0.5e-3 * diameter_mm
     upright = Rotation.from_euler("y", 90, degrees=True)  # the mill's axis lies along x, the nerve along z
     for gap in (-0.1e-3, 0.0, 0.02e-3, 1e-3):
         require_safe(frame([radius + gap, 0.0, 2e-3], upright), gap)
@@ -93,7 +98,8 @@ def test_edge_of_an_end_mill_in_a_flat_wall():
 @pytest.mark.parametrize("shape", [REAMER, FLAT, DRILL, MILL, profile.pear_bur(diameter_m=2e-3, length_m=4e-3)])
 def test_any_tool_and_a_small_ball(shape):
     """Distance of the ball's centre from the half section, less the ball's radius; the section's own search finds it."""
-    radius, rng = 0.15e-3, np.random.default_rng(2)
+    radius = 0.15e-3
+    rng = np.random.default_rng(2)
     made = trimesh.creation.icosphere(subdivisions=4, radius=radius)
     inner = float(np.min(np.einsum("ij,ij->i", made.face_normals, made.triangles_center)))
     made.apply_scale(radius / inner)  # the facets touch the ball from outside
@@ -102,7 +108,8 @@ def test_any_tool_and_a_small_ball(shape):
     for _ in range(60):
         at = np.array([rng.uniform(0.0, shape.radius_m + 2e-3), rng.uniform(low - 2e-3, high + 2e-3)])
         exact = float(shape.distance(at[None])[0][0]) - radius
-        turn, around = Rotation.random(random_state=rng.integers(1000)), rng.uniform(0.0, 2.0 * np.pi)
+        turn = Rotation.random(random_state=rng.integers(1000))
+        around = rng.uniform(0.0, 2.0 * np.pi)
         centre = turn.apply([at[0] * np.cos(around), at[0] * np.sin(around), at[1]])
         require_safe(frame(-centre, turn), exact)
 
@@ -119,7 +126,8 @@ def test_a_shape_of_the_anatomy_is_meshed_finely_enough():
     shape = capsule(0.15e-3, (-8e-3, 1e-3, 0.0), (8e-3, -2e-3, 1e-3))
     vertices, faces, slack = shape_triangles(shape, np.full(3, -5e-3), np.full(3, 5e-3))
     assert slack < 6e-6
-    clear, rng = KeepClear(BALL, {"nerve": Structure(vertices, faces, slack)}), np.random.default_rng(0)
+    clear = KeepClear(BALL, {"nerve": Structure(vertices, faces, slack)})
+    rng = np.random.default_rng(0)
     for centre in rng.uniform(-3e-3, 3e-3, (60, 3)):
         tool = ToolMotion(tip_m=centre - [0.0, 0.0, 1.5e-3])
         clear.measure(tool)
@@ -140,7 +148,8 @@ def section_distance(corners, boxes):
     ends = np.array(corners, dtype=float)
 
     def distance(points):
-        radius, height = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
+        radius = np.hypot(points[:, 0], points[:, 1])
+        height = points[:, 2]
         nearest = np.full(len(points), np.inf)
         for start, end in itertools.pairwise(ends):
             along = end - start
@@ -157,7 +166,8 @@ def section_distance(corners, boxes):
 
 def cylinder_distance(points, radius, length):
     """Signed distance [mm] from a cylinder along z."""
-    across, along = np.hypot(points[:, 0], points[:, 1]) - radius, np.abs(points[:, 2]) - 0.5 * length
+    across = np.hypot(points[:, 0], points[:, 1]) - radius
+    along = np.abs(points[:, 2]) - 0.5 * length
     outside = np.hypot(np.maximum(across, 0.0), np.maximum(along, 0.0))
     return np.where((across < 0.0) & (along < 0.0), np.maximum(across, along), outside)
 
@@ -166,7 +176,9 @@ def smallest_sum(total, points, rng):
     """Smallest value over space: the best of dense points, each moved at random as long as the value falls."""
     values = total(points)
     best = np.argsort(values)[:60]
-    points, values, reach = points[best], values[best], 0.1
+    points = points[best]
+    values = values[best]
+    reach = 0.1
     while reach > 1e-4:
         directions = rng.normal(size=(12, 3))
         tried = points[:, None] + reach * directions / np.linalg.norm(directions, axis=1)[:, None]
@@ -198,7 +210,8 @@ def test_depth_is_the_smallest_sum_of_both_signed_distances(shape, section, diam
     spans = (np.arange(-reach, reach + 0.1, 0.2), np.arange(-reach, reach + 0.1, 0.2), np.arange(low, high + 0.1, 0.2))
     lattice = np.stack(np.meshgrid(*spans, indexing="ij"), axis=-1).reshape(-1, 3)
     for seed in range(4):
-        rng, checked = np.random.default_rng(seed), 0
+        rng = np.random.default_rng(seed)
+        checked = 0
         while checked < 3:
             turn = Rotation.random(random_state=rng.integers(1 << 30))
             tip = rng.uniform(-3.5, 3.5, 3) + np.array([0.0, 0.0, rng.choice([0.0, 20.0])])

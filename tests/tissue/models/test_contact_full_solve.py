@@ -6,7 +6,7 @@ from contact_slab import TIGHT, along, away
 from scipy.sparse import block_array, block_diag, coo_array
 from scipy.sparse.linalg import spsolve
 
-from tissue.models.organ.contact_result import ContactOutcome
+from tissue.models.organ.contact import ContactOutcome
 from tissue.models.organ.probe import SphereProbe
 
 
@@ -15,8 +15,10 @@ def full_solve(slab, radius, path, friction):
 
     Newton on the equations of Alart and Curnier (1991), normals brought up to date between solves until they rest.
     """
-    count, m = slab.stiffness.shape[0], len(slab.top)
-    u, force = np.zeros(count), np.zeros((m, 3))
+    count = slab.stiffness.shape[0]
+    m = len(slab.top)
+    u = np.zeros(count)
+    force = np.zeros((m, 3))
     last = path[0]
     for tip in path[1:]:
         anchor = slab.rest + u[slab.unknowns].reshape(-1, 3) + (tip - last)
@@ -25,7 +27,8 @@ def full_solve(slab, radius, path, friction):
             arm = where - tip - [0.0, 0.0, radius]
             length = np.linalg.norm(arm, axis=1)
             normal = arm / length[:, None]
-            before, force = force, newton(slab, u, force, length - radius, normal, where, anchor, friction)
+            before = force
+            force = newton(slab, u, force, length - radius, normal, where, anchor, friction)
             if np.abs(force - before).max() < 1e-14:
                 break
         last = tip
@@ -38,18 +41,25 @@ def newton(slab, u, force, gap, normal, where, anchor, friction, scale=1.0):
     eye = np.eye(3)
     for _ in range(60):
         now = slab.rest + u[slab.unknowns].reshape(-1, 3)
-        rows, contact_rows, right = [], [], []
+        rows = []
+        contact_rows = []
+        right = []
         for i in near:
             n = normal[i]
             tangent = eye - np.outer(n, n)
             g = gap[i] + n @ (now[i] - where[i])
-            press, side = force[i] @ n, tangent @ force[i]
+            press = force[i] @ n
+            side = tangent @ force[i]
             slip = tangent @ (now[i] - anchor[i])
-            trial, pull = press - scale * g, side - scale * slip
+            trial = press - scale * g
+            pull = side - scale * slip
             if trial <= 0.0:
-                by_u, by_f, residual = np.zeros((3, 3)), eye, force[i]
+                by_u = np.zeros((3, 3))
+                by_f = eye
+                residual = force[i]
             elif np.linalg.norm(pull) <= friction * trial:
-                by_u, by_f = scale * (np.outer(n, n) + tangent), np.zeros((3, 3))
+                by_u = scale * (np.outer(n, n) + tangent)
+                by_f = np.zeros((3, 3))
                 residual = scale * (g * n + slip)
             else:
                 size = np.linalg.norm(pull)
@@ -62,7 +72,8 @@ def newton(slab, u, force, gap, normal, where, anchor, friction, scale=1.0):
         columns = slab.unknowns.reshape(-1, 3)[near].ravel()
         size = 3 * len(near)
         pick = coo_array((np.ones(size), (columns, np.arange(size))), shape=(len(u), size)).tocsc()
-        by_u, by_f = block_diag(rows, format="csc"), block_diag(contact_rows, format="csc")
+        by_u = block_diag(rows, format="csc")
+        by_f = block_diag(contact_rows, format="csc")
         balance = slab.stiffness @ u - pick @ force[near].ravel()
         matrix = block_array([[slab.stiffness, -pick], [by_u @ pick.T, by_f]], format="csc")
         step = spsolve(matrix, -np.concatenate([balance, np.concatenate(right)]))

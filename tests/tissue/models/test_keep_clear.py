@@ -11,7 +11,9 @@ import tissue
 from meshes.base.errors import InputError
 from tissue.figures.section import draw_section, nearest_places
 
-RADIUS_MM, DEPTH_MM, ASIDE_MM = 3.0, 6.0, 0.5
+RADIUS_MM = 3.0
+DEPTH_MM = 6.0
+ASIDE_MM = 0.5
 """Of a canal along x under the block's face, and how far aside of its axis the burr goes."""
 BURR_MM = 2.0
 SCENE = {

@@ -98,7 +98,8 @@ def cuts(seed, count=200):
     tip = np.array([0.0, 0.0, 0.6])
     for _ in range(count):
         step = random.normal(size=3) * (0.05, 0.05, 0.02) - (0.0, 0.0, 0.004)
-        before, tip = tip, np.clip(tip + step, (-2, -2, -1.2), (2, 2, 1))
+        before = tip
+        tip = np.clip(tip + step, (-2, -2, -1.2), (2, 2, 1))
         moved = 1e-3 * (tip - before)
         length = float(np.linalg.norm(moved))
         yield at(tip, heading=moved / length if length else (0, 0, -1), speed_m_s=length / STEP_S)
@@ -167,7 +168,8 @@ def test_finish_twice_is_finish_once(model):
     for motion in cuts(2):
         model.advance(motion)
     finish(model)
-    removed, remaining = model.removed_m3.copy(), remaining_of(model)
+    removed = model.removed_m3.copy()
+    remaining = remaining_of(model)
     finish(model)
     np.testing.assert_array_equal(model.removed_m3, removed)
     if remaining is not None:

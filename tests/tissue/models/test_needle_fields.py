@@ -11,7 +11,8 @@ from tissue.models.tissue_model import ToolMotion
 
 NEEDLE_M = 1.27e-3
 SCENE = {"motion.feed_mm_s": 80.0, "anatomy.interval_ms": 50.0, "motion.points_mm": [[3, -2, 5], [3, -2, -65], [3, -2, 10]]}  # fmt: skip
-YOUNG_PA, POISSON_RATIO = 5400.0, 0.45
+YOUNG_PA = 5400.0
+POISSON_RATIO = 0.45
 """Cited modulus of liver and the least cited Poisson's ratio."""
 SINGLE = 2e-6
 """Relative rounding of what a frame keeps in single precision, over a few sums."""
@@ -48,7 +49,8 @@ def driven(request):
     where = track(tilt_deg=request.param, entry_mm=(4.0, -7.0, 0.0), deepest_mm=25.0)
     fields = fields_of(where)
     models = [NeedleModel(needle_tissue(), diameter_m=NEEDLE_M, fields=each) for each in (fields, None)]
-    wrenches, states = [], []
+    wrenches = []
+    states = []
     travel = 1e-3 * np.concatenate([np.arange(-1.0, 25.0, 0.25), np.arange(25.0, -25.0, -0.25)])
     for tick, z in enumerate(travel):
         motion = ToolMotion(tip_m=where.entry_m - z * where.outward, speed_m_s=0.01)
@@ -77,7 +79,8 @@ def test_the_track_moves_with_the_organ_and_no_farther(driven):
     assert len(frames) == len(states)
     held_nodes = 0
     for frame, (deflection, inserted) in zip(frames, states, strict=True):
-        moved, depths = along(frame, fields), -fields.series.nodes_m[fields.nodes, 2] / fields.track.outward[2]
+        moved = along(frame, fields)
+        depths = -fields.series.nodes_m[fields.nodes, 2] / fields.track.outward[2]
         held = depths <= inserted + 1e-9
         np.testing.assert_allclose(moved[held], deflection, rtol=SINGLE, atol=1e-12)
         if deflection != 0.0:
@@ -109,28 +112,32 @@ def test_the_bottom_carries_what_moves_the_track(driven):
 
 
 def test_nothing_moves_before_the_needle_touches_nor_after_it_left(pierced):
-    frames, trace = pierced.parts.tissue.fields.frames, pierced.trace
+    frames = pierced.parts.tissue.fields.frames
+    trace = pierced.trace
     still = moved = 0
     for frame in frames:
         row = round(1e3 * frame.time_s)
         quiet = trace["deflection_mm"][row] == 0.0
         assert quiet == (not frame.points["displacement_mm"].any())
         assert quiet == (not any(values.any() for values in frame.cells.values()))
-        still, moved = still + quiet, moved + (not quiet)
+        still = still + quiet
+        moved = moved + (not quiet)
     assert frames[0].time_s == 0.0 and not frames[0].points["displacement_mm"].any()
     assert still >= 2 and moved > 20
 
 
 def test_a_scene_shows_its_needle_where_it_goes_in(pierced, tmp_path):
     """Names as of every soft organ; the block's middle line is the needle's; the note compares the forces."""
-    series, trace = pierced.parts.tissue.fields, pierced.trace
+    series = pierced.parts.tissue.fields
+    trace = pierced.trace
     assert set(series.frames[0].points) == {"displacement_mm", "reaction_N"}
     assert set(series.frames[0].cells) == {"von_mises_kPa", "principal_stress_kPa", "strain_percent"}
     nodes = series.node_sets["touchable"]
     np.testing.assert_allclose(series.nodes_m[nodes, :2], np.broadcast_to((3e-3, -2e-3), (len(nodes), 2)), atol=1e-12)
     for frame in series.frames:
         row = round(1e3 * frame.time_s)
-        deflection, inserted = trace["deflection_mm"][row], trace["insertion_mm"][row]
+        deflection = trace["deflection_mm"][row]
+        inserted = trace["insertion_mm"][row]
         held = nodes[-1e3 * series.nodes_m[nodes, 2] <= inserted + 1e-6]
         np.testing.assert_allclose(-frame.points["displacement_mm"][held, 2], deflection, rtol=SINGLE, atol=1e-9)
     assert "a picture, not a second model of the force" in pierced.parts.notes["fields"]

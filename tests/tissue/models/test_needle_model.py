@@ -159,7 +159,8 @@ def test_an_organ_that_clings_to_the_needle_above_its_surface_keeps_its_track():
     model = needle(LIVER)
     go(model, [-1.0, 30.0])
     go(model, [30.0, -2.0])
-    held, drawn = model.insertion.inserted_m, model.insertion.deflection_m
+    held = model.insertion.inserted_m
+    drawn = model.insertion.deflection_m
     assert held > 5e-3 and model.insertion.travel_m == pytest.approx(-2e-3)
     go(model, [-2.0, 0.5], sideways_mm=2.0)
     assert model.insertion.inserted_m == held and model.insertion.punctured == 1
@@ -170,7 +171,8 @@ def test_measures_are_the_insertion_in_millimetres_and_newtons():
     """Length, deflection, and the elastic, cutting and friction parts; the viscous drag is part of the friction."""
     model = needle(LIVER)
     response, motion = go(model, [-1.0, 30.0])
-    insertion, names = model.insertion, model.measure_names
+    insertion = model.insertion
+    names = model.measure_names
     measures = dict(zip(names, response.measures, strict=True))
     elastic, cutting, friction = insertion.shares_N()
     drag = insertion.drag_N_s_m * motion.speed_m_s
@@ -214,7 +216,8 @@ def test_the_place_on_the_surface_does_not_matter(seed):
 
 def pushed(thrust_N, ticks=8000, step_s=STEP_S):
     """A needle pushed by a thrust at no more than 5 mm/s; depth [mm], force [N] and speed [m/s] of every tick."""
-    model, motion = needle(LIVER), ToolMotion()
+    model = needle(LIVER)
+    motion = ToolMotion()
     drive = PushAlongAxis(
         np.array([0.0, 0.0, 1e-3]),
         axis=(0.0, 0.0, 1.0),
@@ -225,7 +228,8 @@ def pushed(thrust_N, ticks=8000, step_s=STEP_S):
     )
     drive.begin(motion)
     model.place(motion)
-    rows, response = [], model.respond(motion)
+    rows = []
+    response = model.respond(motion)
     for tick in range(ticks):
         drive.advance(tick * step_s, step_s, response, motion)
         model.advance(motion)
@@ -253,7 +257,8 @@ def test_a_thrust_above_the_puncture_goes_through_to_its_end():
 
 
 def test_the_thrust_does_not_make_the_step_matter():
-    coarse, fine = pushed(2.0)[0][-1], pushed(2.0, ticks=40000, step_s=2e-4)[0][-1]
+    coarse = pushed(2.0)[0][-1]
+    fine = pushed(2.0, ticks=40000, step_s=2e-4)[0][-1]
     assert coarse == pytest.approx(fine, abs=5e-3)  # one coarse tick at 5 mm/s
 
 

@@ -7,9 +7,8 @@ from contact_slab import TIGHT, along, away
 from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
-from tissue.models.organ.contact import SurfaceContact
+from tissue.models.organ.contact import ContactOutcome, SurfaceContact
 from tissue.models.organ.contact_points import contact_points
-from tissue.models.organ.contact_result import ContactOutcome
 from tissue.models.organ.probe import CylinderProbe, ShellProbe, SphereProbe
 
 CLOSE = 1e-7
@@ -20,7 +19,8 @@ CLOSE = 1e-7
 def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
     rng = np.random.default_rng(seed)
     # A loaded point on a sharp edge slides off it unless friction holds it: cylinders get friction and round edges.
-    friction, radius = rng.uniform([0.05, 0.4][seed % 2], 0.8), rng.uniform(0.004, 0.012)
+    friction = rng.uniform([0.05, 0.4][seed % 2], 0.8)
+    radius = rng.uniform(0.004, 0.012)
     rotation = Rotation.from_euler("xy", rng.uniform(-0.4, 0.4, 2)).as_matrix()
     probe = [SphereProbe(radius), CylinderProbe(radius, 0.5 * radius)][seed % 2]
     contact = slab.contact(probe, friction=friction, **TIGHT)
@@ -32,11 +32,13 @@ def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
     for tick in range(24):
         step = np.array([0.0, 0.0, -7e-4]) if tick < 12 else rng.normal(size=3) * [4e-4, 4e-4, 2e-4]
         turn = Rotation.from_rotvec(rng.normal(size=3) * 0.01).as_matrix()
-        new_tip, new_rotation = tip + step, turn @ rotation
+        new_tip = tip + step
+        new_rotation = turn @ rotation
         anchor = new_tip + (place - tip) @ rotation @ new_rotation.T
         result = contact.solve(new_tip, new_rotation)
         assert result.outcome is ContactOutcome.CONVERGED
-        tip, rotation = new_tip, new_rotation
+        tip = new_tip
+        rotation = new_rotation
         moved = slab.rest + result.displacement_m()
         place = np.einsum("pa,paj->pj", weights, moved[slab.faces[face]])
         gap, normal = probe.distance((place - tip) @ rotation)
@@ -46,8 +48,10 @@ def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
         side = force - press[:, None] * normal
         slip = place - anchor
         slip -= np.einsum("pj,pj->p", slip, normal)[:, None] * normal
-        size, direction = np.linalg.norm(side, axis=1), np.linalg.norm(slip, axis=1)
-        largest, deepest = np.linalg.norm(result.force_N), np.abs(result.displacement_m()).max()
+        size = np.linalg.norm(side, axis=1)
+        direction = np.linalg.norm(slip, axis=1)
+        largest = np.linalg.norm(result.force_N)
+        deepest = np.abs(result.displacement_m()).max()
         assert press.min() >= -CLOSE * largest
         assert gap.min() >= -CLOSE * deepest
         assert np.abs(press * gap).max() <= CLOSE * largest * deepest
@@ -67,9 +71,12 @@ def test_friction_cone_and_complementarity_hold_on_random_scenes(slab, seed):
 def test_turning_everything_turns_the_answer(slab):
     turn = Rotation.random(random_state=4).as_matrix()
     path = away([0.003, 0.001, -0.004])
-    probe, options = SphereProbe(0.01), {**TIGHT, "spacing_m": 1.0}
+    probe = SphereProbe(0.01)
+    options = {**TIGHT, "spacing_m": 1.0}
     here = along(slab.contact(probe, **options), path)
-    force, torque, nodal = here.force_N.copy(), here.torque_Nm.copy(), here.nodal_forces_N.copy()
+    force = here.force_N.copy()
+    torque = here.torque_Nm.copy()
+    nodal = here.nodal_forces_N.copy()
     count = len(slab.rest)
     turned = np.einsum("ij,ajbk,lk->aibl", turn, slab.compliance.reshape(count, 3, count, 3), turn)
     contact = SurfaceContact(slab.rest @ turn.T, slab.faces, turned.reshape(3 * count, -1), probe, **options)
@@ -99,7 +106,8 @@ def test_a_shell_of_points_feels_what_its_shape_feels(slab):
     path = away([0.002, 0.001, -0.004])
     shell = along(slab.contact(ShellProbe.from_mesh(ball, points=5000), friction=0.2), path)
     assert shell.outcome in (ContactOutcome.CONVERGED, ContactOutcome.NOT_CONVERGED)
-    force, torque = shell.force_N.copy(), shell.torque_Nm.copy()
+    force = shell.force_N.copy()
+    torque = shell.torque_Nm.copy()
     exact = along(slab.contact(SphereProbe(0.012), friction=0.2), path)
     # Points 1 mm apart on triangles of 5 mm: the flat triangles of either side count differently.
     np.testing.assert_allclose(force, exact.force_N, atol=0.06 * np.linalg.norm(exact.force_N))
@@ -111,11 +119,13 @@ def test_a_shell_that_jumps_is_felt_by_all_its_points(slab):
     block = trimesh.creation.box((0.02, 0.02, 0.01))
     block.apply_translation([0.0, 0.0, 0.005])
     shell = ShellProbe.from_mesh(block, points=800)
-    start, end = np.array([0.0, 0.0, 5e-4]), np.array([0.0, 0.0, -6e-3])
+    start = np.array([0.0, 0.0, 5e-4])
+    end = np.array([0.0, 0.0, -6e-3])
     slow = slab.contact(shell, friction=0.0)
     quick = slab.contact(shell, friction=0.0)
     wanted = along(slow, np.linspace(start, end, 60))
-    force, contacts = wanted.force_N[2], wanted.contacts
+    force = wanted.force_N[2]
+    contacts = wanted.contacts
     jumped = along(quick, [start, end])
     assert contacts > 5 and jumped.contacts > 0.7 * contacts
     assert jumped.force_N[2] == pytest.approx(force, rel=0.1)
@@ -126,11 +136,13 @@ def test_where_a_shell_s_frame_lies_does_not_matter(slab):
     ball = trimesh.creation.icosphere(3, 0.012)
     ball.apply_translation([0.0, 0.0, 0.012])
     near = ShellProbe.from_mesh(ball, points=400)
-    upside_down, above = np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.03])
+    upside_down = np.diag([1.0, -1.0, -1.0])
+    above = np.array([0.0, 0.0, 0.03])
     far = ShellProbe((near.points_m - above) @ upside_down, near.normals @ upside_down, near.areas_m2)
     path = away([0.002, 0.001, -0.004])
     wanted = along(slab.contact(near, friction=0.2), path)
-    force, torque = wanted.force_N.copy(), wanted.torque_Nm.copy()
+    force = wanted.force_N.copy()
+    torque = wanted.torque_Nm.copy()
     found = along(slab.contact(far, friction=0.2), [tip + above for tip in path], upside_down)
     assert force[2] > 1e-2
     np.testing.assert_allclose(found.force_N, force, atol=1e-6 * np.linalg.norm(force))
@@ -153,7 +165,8 @@ def test_a_drag_sticks_first_and_then_slips_at_the_coefficient(slab):
 
 
 def test_blocks_may_come_in_where_they_are_needed(slab):
-    probe, path = SphereProbe(0.008), away([0.001, 0.0, -0.002])
+    probe = SphereProbe(0.008)
+    path = away([0.001, 0.0, -0.002])
     whole = along(slab.contact(probe), path).force_N.copy()
     filled = np.full_like(slab.compliance, np.nan)
     contact = SurfaceContact(slab.rest, slab.faces, filled, probe)
@@ -180,7 +193,8 @@ def test_outcomes_of_a_solve_are_reported(slab):
 
 
 def test_a_scaled_compliance_and_shifted_nodes_are_those_of_another_organ(slab):
-    path, offset = away([0.002, 0.0, -0.003]), np.array([3e-4, -2e-4, -5e-4])
+    path = away([0.002, 0.0, -0.003])
+    offset = np.array([3e-4, -2e-4, -5e-4])
     options = {"spacing_m": 1.0, **TIGHT}
     other = SurfaceContact(slab.rest + offset, slab.faces, 2.5 * slab.compliance, SphereProbe(0.01), **options)
     expected = along(other, path).force_N.copy()
@@ -195,7 +209,8 @@ def test_a_scaled_compliance_and_shifted_nodes_are_those_of_another_organ(slab):
 @pytest.mark.parametrize("shifts", [1, 3])
 def test_nodes_that_are_shifted_to_a_tool_that_waits_touch_it(slab, shifts):
     """A tool 2 cm above, four triangles away, feels a surface that rises by 2.1 cm as an organ that lies so high."""
-    tip, offset = np.array([0.001, 0.0, 0.02]), np.array([0.0, 0.0, 0.021])
+    tip = np.array([0.001, 0.0, 0.02])
+    offset = np.array([0.0, 0.0, 0.021])
     options = {"spacing_m": 1.0, "friction": 0.0} | TIGHT
     other = SurfaceContact(slab.rest + offset, slab.faces, slab.compliance, SphereProbe(0.01), **options)
     expected = other.solve(tip, np.eye(3)).force_N.copy()
@@ -211,10 +226,12 @@ def test_nodes_that_are_shifted_to_a_tool_that_waits_touch_it(slab, shifts):
 
 def test_another_compliance_with_the_surface_where_it_was_leaves_the_force(slab):
     """Half as stiff, and shifted by what that would move: nothing changes until the tool goes on."""
-    options, path = {"spacing_m": 1.0, "friction": 0.4} | TIGHT, away([0.002, 0.0, -0.003])
+    options = {"spacing_m": 1.0, "friction": 0.4} | TIGHT
+    path = away([0.002, 0.0, -0.003])
     contact = SurfaceContact(slab.rest, slab.faces, slab.compliance.copy(), SphereProbe(0.01), **options)
     before = along(contact, path)
-    force, moved = before.force_N.copy(), before.displacement_m().copy()
+    force = before.force_N.copy()
+    moved = before.displacement_m().copy()
     contact.change_compliance(2.0 * slab.compliance)
     contact.shift(moved - before.displacement_m())
     tip = np.array(path[-1])

@@ -16,7 +16,8 @@ def test_body_reaches_as_far_as_its_profile():
     ball = body_points(ball_burr(diameter_m=4e-3), spacing_m=2e-4)
     assert np.abs((ball @ DIRECTIONS.T).max(axis=0) - 2e-3 * DIRECTIONS[:, 2] - 2e-3).max() < 1e-5
     drill = body_points(twist_drill(diameter_m=3.2e-3, length_m=20e-3, point_angle_rad=2.06), spacing_m=2e-4)
-    shoulder, across = 1.6e-3 / np.tan(1.03), 1.6e-3 * np.hypot(DIRECTIONS[:, 0], DIRECTIONS[:, 1])
+    shoulder = 1.6e-3 / np.tan(1.03)
+    across = 1.6e-3 * np.hypot(DIRECTIONS[:, 0], DIRECTIONS[:, 1])
     ends = [0.0 * across, across + shoulder * DIRECTIONS[:, 2], across + 20e-3 * DIRECTIONS[:, 2]]
     assert np.abs((drill @ DIRECTIONS.T).max(axis=0) - np.maximum.reduce(ends)).max() < 1e-5
     reamer = hemispherical_reamer(diameter_m=30e-3, peg_diameter_m=6e-3, peg_length_m=8e-3)

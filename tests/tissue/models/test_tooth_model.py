@@ -33,7 +33,8 @@ def seen():
 @pytest.fixture(scope="module")
 def run(seen):
     with pytest.MonkeyPatch.context() as patch:
-        remove, solve = StressField.remove, StressField.solve
+        remove = StressField.remove
+        solve = StressField.solve
         lost = []
 
         def removing(field, voxels, steps, **places):
@@ -65,7 +66,8 @@ def test_an_interval_is_counted_in_whole_ticks():
 
 def test_a_solve_is_given_the_state_of_its_time(run, seen):
     """Force, removed volume and the bur's face toward the force are those of the trace's row."""
-    force, tip = run.trace.vectors("model_force", "N"), run.trace.vectors("tool", "mm")
+    force = run.trace.vectors("model_force", "N")
+    tip = run.trace.vectors("tool", "mm")
     voxel_mm3 = run.parts.volume.voxel_volume_m3 * 1e9
     for time_s, lost, force_on_tooth, point_m in seen:
         row = round(time_s * 1e3)
@@ -80,7 +82,8 @@ def test_a_solve_is_given_the_state_of_its_time(run, seen):
 
 def test_a_frame_balances_the_force_of_its_time(run):
     """The bed's springs carry what the bur pushes with at the frame's time, to what the solve leaves."""
-    field, force = run.parts.tissue.stress.field, run.trace.vectors("model_force", "N")
+    field = run.parts.tissue.stress.field
+    force = run.trace.vectors("model_force", "N")
     loaded = 0
     for frame in field.series.frames:
         pushed = -force[round(frame.time_s * 1e3)]

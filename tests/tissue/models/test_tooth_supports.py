@@ -16,11 +16,14 @@ def springs(count=7):
 
 def test_the_restraint_is_the_energy_of_rigid_motions():
     """u = t + w x (x - c) at each spring: twice the energy is sum u S u; rotations are in units of 1 / length."""
-    given, centre, length = springs(), np.array([2e-3, -1e-3, 4e-3]), 5e-3
+    given = springs()
+    centre = np.array([2e-3, -1e-3, 4e-3])
+    length = 5e-3
     restraint = given.restraint(centre, length)
     assert restraint == pytest.approx(restraint.T)
     for motion in np.random.default_rng(1).normal(size=(10, 6)):
-        shift, turn = motion[:3], motion[3:] / length
+        shift = motion[:3]
+        turn = motion[3:] / length
         moved = [shift + np.cross(turn, at - centre) for at in given.position_m]
         twice = sum(u @ each @ u for u, each in zip(moved, given.stiffness_N_m, strict=True))
         assert motion @ restraint @ motion == pytest.approx(twice, rel=1e-10)
@@ -29,8 +32,10 @@ def test_the_restraint_is_the_energy_of_rigid_motions():
 def test_forces_are_those_of_the_displacement_at_the_springs():
     """A displacement that is linear in the place is interpolated exactly in every cell."""
     _, grid = block((3, 3, 3), 1e-3)
-    given, rng = springs(), np.random.default_rng(2)
-    shift, slope = rng.normal(size=3) * 1e-6, rng.normal(size=(3, 3)) * 1e-3
+    given = springs()
+    rng = np.random.default_rng(2)
+    shift = rng.normal(size=3) * 1e-6
+    slope = rng.normal(size=(3, 3)) * 1e-3
     nodes = grid.node_position_m @ slope.T + shift
     found = given.force(grid, nodes)
     for at, stiffness, force in zip(given.position_m, given.stiffness_N_m, found, strict=True):
@@ -40,16 +45,19 @@ def test_forces_are_those_of_the_displacement_at_the_springs():
 def test_blocks_by_cell_add_up_to_the_same_forces():
     """The springs of a cell act on its eight nodes: sum over b of N_a N_b S u_b, upper blocks and their transposes."""
     _, grid = block((3, 3, 3), 1e-3)
-    given, nodes = springs(40), np.random.default_rng(3).normal(size=(4**3, 3))
+    given = springs(40)
+    nodes = np.random.default_rng(3).normal(size=(4**3, 3))
     cells, blocks = given.by_cell(grid)
     assert cells.tolist() == sorted(set(cells.tolist())) and 5 < len(cells) < 27
     energy = -np.einsum("ki,ki->", given.force(grid, nodes), moved_at(given, grid, nodes))
-    total, row = 0.0, 0
+    total = 0.0
+    row = 0
     for a in range(8):
         for b in range(a, 8):
             ends = nodes[grid.cell_nodes[cells][:, a]], nodes[grid.cell_nodes[cells][:, b]]
             part = np.einsum("ki,kij,kj->", ends[0], blocks[:, row], ends[1])
-            total, row = total + part * (1.0 if a == b else 2.0), row + 1
+            total = total + part * (1.0 if a == b else 2.0)
+            row = row + 1
     assert row == blocks.shape[1]
     assert total == pytest.approx(energy, rel=1e-10)
 
@@ -59,7 +67,8 @@ def moved_at(given, grid, nodes):
     found = []
     for at in given.position_m / 1e-3:
         low = np.floor(at).astype(int)
-        part, value = at - low, np.zeros(3)
+        part = at - low
+        value = np.zeros(3)
         for corner in np.ndindex(2, 2, 2):
             node = np.flatnonzero((np.rint(grid.node_position_m / 1e-3).astype(int) == low + corner).all(axis=1))[0]
             value += np.prod(np.where(corner, part, 1.0 - part)) * nodes[node]

@@ -59,12 +59,14 @@ def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficien
 def test_in_bone_of_the_reference_density_the_exponent_counts_where_that_density_varies(block):
     """The strength is the ratio of the densities to the exponent: 1 for both cited values, not for both of a sample."""
     reweighed = Reweighed(record_loads(block, cores=1))
-    names, priors = reweighed.ranges.names, reweighed.ranges.priors
+    names = reweighed.ranges.names
+    priors = reweighed.ranges.priors
     density, exponent = (
         names.index(f"cutting.bone.{name}") for name in ("reference_density_kg_m3", "density_exponent")
     )
     x = np.tile(reweighed.nominal(), (3, 1))
-    x[1:, density], x[2, exponent] = priors[density].high, priors[exponent].high
+    x[1:, density] = priors[density].high
+    x[2, exponent] = priors[exponent].high
     peak = reweighed.figures(x)[:, 0]
     ratio = priors[density].value / priors[density].high
     assert peak[1:] / peak[0] == pytest.approx([ratio ** priors[exponent].value, ratio ** priors[exponent].high])
@@ -171,7 +173,8 @@ def test_a_file_of_fitted_constants_narrows_the_band_and_groups_what_it_correlat
     names = '["cutting.bone.radial_edge_N_mm", "cutting.bone.tangential_edge_N_mm"]'
     file = tmp_path / "fitted.toml"
     file.write_text(f"{entries}[correlation]\nnames = {names}\nmatrix = [[1.0, 0.8], [0.8, 1.0]]\n", "utf-8")
-    wide, fitted = band_of(block, 16, cores=1), band_of(changed(block, {"materials": str(file)}), 16, cores=1)
+    wide = band_of(block, 16, cores=1)
+    fitted = band_of(changed(block, {"materials": str(file)}), 16, cores=1)
     spread = [
         each.summary["force_N"]["peak"]["p95"] / each.summary["force_N"]["peak"]["p05"] for each in (wide, fitted)
     ]

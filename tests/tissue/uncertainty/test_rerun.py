@@ -17,8 +17,7 @@ from tissue.scene.scene import Scene
 from tissue.simulation.simulate import simulate
 from tissue.uncertainty import rerun
 from tissue.uncertainty.band import band_of
-from tissue.uncertainty.figures import NUMBER, intervals, table_of
-from tissue.uncertainty.span import over_time
+from tissue.uncertainty.figures import NUMBER, intervals, over_time, table_of
 
 
 @pytest.fixture
@@ -65,7 +64,8 @@ def test_runs_of_each_sample_give_temperature_and_stress_a_band():
     changes = {"voxels.spacing_mm": 0.15, "stress.cell_mm": 0.6, "duration_s": 0.7, "heat": True}
     scene = load_scene("caries", changes)
     band = band_of(scene, 16, each_run=True)
-    stress, peak = band.summary["greatest_von_mises_MPa"], band.summary["force_N"]["peak"]
+    stress = band.summary["greatest_von_mises_MPa"]
+    peak = band.summary["force_N"]["peak"]
     assert 0.0 < stress["p05"] < 0.7 * stress["p95"]
     assert 0.0 < band.summary["greatest_pulp_rise_K"]["p05"] < 0.7 * band.summary["greatest_pulp_rise_K"]["p95"]
     assert "without" not in band.summary

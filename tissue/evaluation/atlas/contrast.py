@@ -7,10 +7,9 @@ from scipy.sparse.linalg import cg
 
 from meshes.base.arrays import Array
 from tissue.evaluation.atlas.page import BLUE, GREY, ORANGE, RED, Answer, Conduct, Data, Page, Verdict, panel, shown
-from tissue.fem.outcome import SolverOutcome
+from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.models.tooth.body import ParticleBody
-from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.grid import HexGrid, ParticleSet
 from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["PAGE"]

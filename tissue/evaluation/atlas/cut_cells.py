@@ -18,10 +18,9 @@ from tissue.evaluation.atlas.page import (
     shown,
     sweep,
 )
-from tissue.fem.outcome import SolverOutcome
+from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.models.tooth.body import INNER_STRENGTH, LEAST_FILL, ParticleBody
-from tissue.models.tooth.grid import HexGrid
-from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.grid import HexGrid, ParticleSet
 from tissue.models.tooth.supports import NodeSupports
 
 __all__ = ["PAGE"]

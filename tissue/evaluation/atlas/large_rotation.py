@@ -24,7 +24,6 @@ from tissue.evaluation.atlas.page import (
 )
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.newton import NewtonSolver
-from tissue.fem.outcome import SolverOutcome
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.load import load_scene

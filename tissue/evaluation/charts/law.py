@@ -173,7 +173,7 @@ def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
 
 def _pressed(solver: "NewtonSolver", *, tips_m: Array, direction: Array, radius_m: float) -> tuple[Array, Array]:
     """Solve for the force on the ball at each tip [N], and its depth [m]; NaN where a solve does not converge."""
-    from tissue.fem.linear_limits import press_at
+    from tissue.fem.newton import press_at
 
     rows = []
     for tip in tips_m:

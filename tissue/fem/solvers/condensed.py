@@ -104,7 +104,8 @@ def _found(solver: ColumnSolver, touchable: Ints, progress: Callable[[float], No
 
 
 def _require_nodes(nodes: Ints, body: HeldBody) -> None:
-    count, unique = len(body.nodes_m), len(np.unique(nodes))
+    count = len(body.nodes_m)
+    unique = len(np.unique(nodes))
     if len(nodes) == 0:
         raise InputError("touchable must name at least one node, got none: give nodes of the surface")
     if nodes.min() < 0 or nodes.max() >= count:

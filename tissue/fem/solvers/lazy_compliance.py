@@ -35,7 +35,8 @@ class LazyCompliance:
     """
 
     def __init__(self, solver: ColumnSolver, touchable: Ints, *, capacity_bytes: int = 500_000_000) -> None:
-        self._solver, self._touchable = solver, np.asarray(touchable, dtype=np.int64)
+        self._solver = solver
+        self._touchable = np.asarray(touchable, dtype=np.int64)
         self._rows = (3 * self._touchable[:, None] + np.arange(3)).ravel()
         each = 3 * 8 * len(self._rows)
         self.capacity = min(capacity_bytes // max(each, 1), len(self._touchable))
@@ -137,7 +138,8 @@ class LazyCompliance:
             self._changed.notify_all()
         if self._thread is not None:
             self._thread.join()
-        self._thread, self._ended = None, False
+        self._thread = None
+        self._ended = False
 
     def _serve(self) -> None:
         try:

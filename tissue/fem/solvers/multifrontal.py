@@ -14,9 +14,55 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.sparse import csc_array, tril
 
 from meshes.base.arrays import Array, Ints
-from tissue.fem.solvers.fronts import Front, fronts_of
 
-__all__ = ["Multifrontal", "NotPositiveDefiniteError"]
+__all__ = ["Front", "Multifrontal", "NotPositiveDefiniteError", "fronts_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """A block of unknowns that is eliminated at once.
+
+    Attributes
+    ----------
+    start, stop
+        Its unknowns, in order of elimination.
+    below
+        Later unknowns that its elimination changes, rising, shape (r,).
+    children
+        Fronts whose changes reach this one first.
+    """
+
+    start: int
+    stop: int
+    below: Ints
+    children: list[int]
+
+
+def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
+    """Fronts of blocks of unknowns, in order of elimination: children come before their parents.
+
+    Parameters
+    ----------
+    lower
+        Lower triangle of the matrix in order of elimination, shape (n, n).
+    starts
+        First unknown of each block and n, rising, shape (blocks + 1,).
+    """
+    marked = np.zeros(lower.shape[0], dtype=np.bool_)
+    block_of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    children: list[list[int]] = [[] for _ in starts[1:]]
+    fronts: list[Front] = []
+    for block, (start, stop) in enumerate(zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)):
+        marked[lower.indices[lower.indptr[start] : lower.indptr[stop]]] = True
+        for child in children[block]:
+            marked[fronts[child].below] = True
+        below = stop + np.flatnonzero(marked[stop:])
+        marked[start:] = False
+        if len(below):
+            children[int(block_of[below[0]])].append(block)
+        fronts.append(Front(start, stop, below, children[block]))
+    return fronts
+
 
 FEW_RUNS = 16
 """Pairs of runs of consecutive rows and columns up to which a block is added pair by pair."""
@@ -93,21 +139,26 @@ class Multifrontal:
         return whole
 
     def _eliminate(self, front: Front, lower: csc_array, changes: dict[int, Array], place: Ints) -> Array:
-        count, after = front.stop - front.start, len(front.below)
+        count = front.stop - front.start
+        after = len(front.below)
         diagonal, under, change = (
             np.zeros(shape, order="F") for shape in ((count, count), (after, count), (after, after))
         )
         place[front.below] = np.arange(after)
-        first, end = lower.indptr[front.start], lower.indptr[front.stop]
-        rows, values = lower.indices[first:end], lower.data[first:end]
+        first = lower.indptr[front.start]
+        end = lower.indptr[front.stop]
+        rows = lower.indices[first:end]
+        values = lower.data[first:end]
         columns = np.repeat(np.arange(count), np.diff(lower.indptr[front.start : front.stop + 1]))
         inside = rows < front.stop
         diagonal[rows[inside] - front.start, columns[inside]] = values[inside]
         under[place[rows[~inside]], columns[~inside]] = values[~inside]
         for child in front.children:
-            block, below = changes.pop(child), self._fronts[child].below
+            block = changes.pop(child)
+            below = self._fronts[child].below
             split = int(np.searchsorted(below, front.stop))
-            here, there = _Rows.of(below[:split] - front.start), _Rows.of(place[below[split:]])
+            here = _Rows.of(below[:split] - front.start)
+            there = _Rows.of(place[below[split:]])
             _add(diagonal, here, here, block[:split, :split])
             _add(under, there, here, block[split:, :split])
             _add(change, there, there, block[split:, split:])
@@ -142,8 +193,10 @@ def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
     """
     if not block.size:
         return
-    transposed, added = target.T, block.T
-    at, to = rows.at, columns.at
+    transposed = target.T
+    added = block.T
+    at = rows.at
+    to = columns.at
     square = rows is columns
     if len(rows.runs) * len(columns.runs) <= FEW_RUNS:
         for a, b in rows.runs:

@@ -49,7 +49,8 @@ class MultigridSolver:
         from pyamg import smoothed_aggregation_solver
 
         self.tolerance = require_range("tolerance", tolerance, 1e-12, 0.1, "use 1e-8")
-        self.body, self._limit = body, limit
+        self.body = body
+        self._limit = limit
         self._free = np.zeros(3 * len(body.nodes_m), dtype=np.bool_)
         self._free[body.free] = True
         diagonal = body.stiffness.diagonal()
@@ -73,7 +74,8 @@ class MultigridSolver:
         """D^-1/2 K D^-1/2 with held components cut out to the identity, indices of 32 bits as pyamg wants."""
         scale = diags_array(self._scale)
         scaled = (scale @ self.body.stiffness @ scale + diags_array(1.0 - self._free)).tobsr((3, 3))
-        indices, starts = scaled.indices.astype(np.int32), scaled.indptr.astype(np.int32)
+        indices = scaled.indices.astype(np.int32)
+        starts = scaled.indptr.astype(np.int32)
         return bsr_matrix((scaled.data, indices, starts), shape=scaled.shape)
 
     def solve(self, load_N: Array, *, start_m: Array | None = None) -> IterativeSolution:
@@ -111,7 +113,8 @@ class MultigridSolver:
             right[unknown] = self._scale[unknown]
             found = self._iterate(right)
             if not found.converged:
-                name, remedy = found.outcome.name, found.outcome.value
+                name = found.outcome.name
+                remedy = found.outcome.value
                 raise InputError(f"stiffness must have columns by multigrid, got {name}: {remedy}")
             answers[:, column] = found.displacement_m * self._scale
         return answers
@@ -125,11 +128,13 @@ class MultigridSolver:
 
     def _error(self, now: Iterate, right: Array) -> float:
         """Estimated relative error in the energy norm; where it might be the last one, eigenvalues are met anew."""
-        energy, slope = dot(now.found, right - now.residual), now.slopes[-1]
+        energy = dot(now.found, right - now.residual)
+        slope = now.slopes[-1]
         if energy <= 0.0:
             return np.inf
         if now.lengths and slope <= self.tolerance**2 * energy:
-            factor, length = np.array(now.factors), np.array(now.lengths)
+            factor = np.array(now.factors)
+            length = np.array(now.lengths)
             earlier = np.append(1.0, length[:-1])
             ritz = eigvalsh_tridiagonal(1.0 / length + factor / earlier, (np.sqrt(factor) / earlier)[1:])
             self._least = min(self._least, max(float(ritz[0]), LEAST_SHARE))

@@ -11,7 +11,7 @@ import numpy as np
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
-from tissue.fem.outcome import Solution, SolverOutcome
+from tissue.fem.conjugate_gradients import Solution, SolverOutcome
 from tissue.fem.solvers.held_body import ColumnSolver, HeldBody
 
 __all__ = ["ReducedSolver"]

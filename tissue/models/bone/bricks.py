@@ -172,7 +172,8 @@ class BrickStore:
 
     def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
         """Write rows behind those that are stored; whether the arrays had to grow, to twice what is needed."""
-        first, count = len(self.places), len(rows["alive"])
+        first = len(self.places)
+        count = len(rows["alive"])
         grows = first + count > len(self.alive)
         for name, values in rows.items():
             old = getattr(self, name)
@@ -243,7 +244,8 @@ class BrickStore:
     def steps_by_layer(self) -> NDArray[np.int64]:
         """Stored steps that remain in each layer, shape (layers,)."""
         count = len(self.places)
-        remaining, layer = self.remaining.numpy()[:count], self.material.numpy()[:count].astype(np.uint8)
+        remaining = self.remaining.numpy()[:count]
+        layer = self.material.numpy()[:count].astype(np.uint8)
         return np.array([remaining[layer == k].sum(dtype=np.int64) for k in range(len(self.grid.layer_names))])
 
 
@@ -255,7 +257,8 @@ def voxels_of(
     ``places`` are those of the store's bricks, of which ``rows`` names some.
     """
     row, column = np.nonzero(steps)
-    block, corner = column >> 3, column & 7
+    block = column >> 3
+    corner = column & 7
     inside = np.stack([block >> 4, (block >> 2) & 3, block & 3], axis=1) * 2
     inside += np.stack([corner >> 2, (corner >> 1) & 1, corner & 1], axis=1)
     return BRICK * places[rows[row]] + inside, steps[row, column]

@@ -54,7 +54,9 @@ class BricksOnDemand:
     """
 
     def __init__(self, anatomy: Anatomy, *, spacing_m: float, minus: Shape | None = None, device: str = "cpu") -> None:
-        self.anatomy, self._minus, self._brick_m = anatomy, minus, BRICK * spacing_m
+        self.anatomy = anatomy
+        self._minus = minus
+        self._brick_m = BRICK * spacing_m
         around = AROUND_VOXELS * spacing_m
         low = np.floor((np.array(anatomy.shape.lower_m) - around) / self._brick_m)
         high = np.ceil((np.array(anatomy.shape.upper_m) + around) / self._brick_m)
@@ -86,7 +88,8 @@ class BricksOnDemand:
             first, last = _box_of(wanted)
             wanted[tuple(map(slice, first, last))] = False
             self._made[tuple(map(slice, first, last))] = True
-            low, high = PATCH * first - MARGIN, PATCH * last + MARGIN
+            low = PATCH * first - MARGIN
+            high = PATCH * last + MARGIN
             volume = self._voxels(low, high)
             x, y, z = low.tolist()
             grown |= self.store.add(volume, at=(x, y, z), margin=MARGIN)
@@ -98,7 +101,8 @@ class BricksOnDemand:
             return
         import psutil
 
-        free, spacing_mm = psutil.virtual_memory().available, 1e3 * self.store.grid.spacing_m
+        free = psutil.virtual_memory().available
+        spacing_mm = 1e3 * self.store.grid.spacing_m
         needed = patches * (PATCH * BRICK) ** 3 * BYTES_WHILE_MADE
         if needed > 0.9 * free:
             fits = spacing_mm * (needed / (0.8 * free)) ** (1.0 / 3.0)
@@ -128,7 +132,8 @@ class BricksOnDemand:
         while wanted.any():
             first, last = _box_of(wanted)
             wanted[tuple(map(slice, first, last))] = False
-            low, high = PATCH * first, PATCH * last
+            low = PATCH * first
+            high = PATCH * last
             before = self._voxels(low - MARGIN, high + MARGIN)
             kept = tuple(slice(MARGIN * BRICK, MARGIN * BRICK + n + 1) for n in (BRICK * (high - low)).tolist())
             volume = VoxelVolume(

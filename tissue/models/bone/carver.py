@@ -28,7 +28,8 @@ LONGEST_STEP_VOXELS = 0.5
 """Longest step between two carvings; a faster tool is carved in parts of a tick."""
 TURN = 0.9
 """The tool turns where it moves on with a heading that keeps less than this share of that since it last turned."""
-WORKERS_CPU, WORKERS_GPU = 32, 2048
+WORKERS_CPU = 32
+WORKERS_GPU = 2048
 """Workers that share a carving launch."""
 
 
@@ -87,12 +88,14 @@ class Carver:
         self, store: BrickStore, cutter: Cutter, *, removal: Removal, device: str, cores: int | None = None
     ) -> None:
         grid = store.grid
-        layers, spacing = len(grid.layer_names), grid.spacing_m
+        layers = len(grid.layer_names)
+        spacing = grid.spacing_m
         self.store = store
         self.removed_steps = np.zeros(layers, dtype=np.int64)
         self.changes = 0
         self._binary = int(removal == "binary")
-        self._origin, self._spacing = grid.origin_m, spacing
+        self._origin = grid.origin_m
+        self._spacing = spacing
         table = cutter.table(spacing_m=spacing)
         self.tool = _revolution(table, cutter.profile, device=device)
         self._lag = min(CARVE_LAG_M / spacing, 0.25)
@@ -108,7 +111,9 @@ class Carver:
         self._pose = Mirror((1 + PHASES, 6), dtype=wp.float64, device=device)
         self._plan = Mirror(PLAN, dtype=wp.int32, device=device)
         self._removed = Mirror((workers, layers), dtype=wp.int64, device=device)
-        self._workers, self._device, self._cores = workers, device, cores
+        self._workers = workers
+        self._device = device
+        self._cores = cores
         self.record()
 
     def record(self) -> None:
@@ -234,7 +239,11 @@ def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revol
     tool.distance = wp.array(table.distance, dtype=wp.float32, device=device)
     tool.slope = wp.array(table.slope, dtype=wp.vec2, device=device)
     tool.bend = wp.array(table.bend, dtype=wp.float32, device=device)
-    tool.height_min, tool.cells_per_voxel = table.height_min, table.cells_per_voxel
-    tool.radius, tool.low, tool.high = table.radius, table.low, table.high
-    tool.convex, tool.round = int(profile.convex), int(len(profile.pieces) == 1)
+    tool.height_min = table.height_min
+    tool.cells_per_voxel = table.cells_per_voxel
+    tool.radius = table.radius
+    tool.low = table.low
+    tool.high = table.high
+    tool.convex = int(profile.convex)
+    tool.round = int(len(profile.pieces) == 1)
     return tool

@@ -51,7 +51,8 @@ class DensityNodes:
         least, most = (min(max(each, 1), DENSITIES - 1) for each in (least_kg_m3, most_kg_m3))
         if least == most:
             return cls(np.array([float(least)]), np.ones((DENSITIES, 1)))
-        middle, half = 0.5 * np.log(most * least), 0.5 * np.log(most / least)
+        middle = 0.5 * np.log(most * least)
+        half = 0.5 * np.log(most / least)
         count = _count(MIDDLE * half)
         at = np.cos(np.pi * (np.arange(count) + 0.5) / count)
         density = np.clip(np.arange(DENSITIES), least, most)

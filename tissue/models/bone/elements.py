@@ -55,9 +55,11 @@ def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
 
     A cone is its axis and the sine of its half angle, 2 where it is wider than a half space.
     """
-    balls, cones = [], []
+    balls = []
+    cones = []
     for start in range(0, len(shell.areas_m2), CHUNK):
-        points, normals = shell.points_m[start : start + CHUNK], shell.normals[start : start + CHUNK]
+        points = shell.points_m[start : start + CHUNK]
+        normals = shell.normals[start : start + CHUNK]
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
         balls.append([*middle, np.linalg.norm(points - middle, axis=1).max()])
         axis = normals.sum(axis=0)

@@ -87,7 +87,9 @@ class EngagedElements:
         """
         share, advance, layer, density = self.find(motion)
         met = np.flatnonzero(share)
-        shell, cutter, coefficients = self.bone.shell, self.bone.cutter, self.bone.coefficients
+        shell = self.bone.shell
+        cutter = self.bone.cutter
+        coefficients = self.bone.coefficients
         chip = np.array([each.tangential_chip_Pa for each in coefficients])[layer[met]]
         edge = np.array([each.tangential_edge_N_m for each in coefficients])[layer[met]]
         reference = np.array([each.reference_density_kg_m3 for each in coefficients])[layer[met]]
@@ -123,15 +125,19 @@ class EngagedBone:
     """
 
     def __init__(self, bone: BoneModel, *, device: str = "cpu", cores: int | None = None) -> None:
-        self.bone, self.layer_names = bone, bone.layer_names
+        self.bone = bone
+        self.layer_names = bone.layer_names
         self.measure_names: tuple[str, ...] = ()
         self.asked = True
         material = bone.store.material.numpy()
         self.nodes = [DensityNodes.of(*densities_of(material, layer)) for layer in range(len(self.layer_names))]
         self.unit_loads = [np.zeros((len(each.densities_kg_m3), COEFFICIENTS, 6)) for each in self.nodes]
         self._response = Response.empty(len(self.layer_names))
-        shell, cutter = bone.shell, bone.cutter
-        self._areas, self._edges, self._levers = shell.areas_m2, edge_lengths_m(shell, cutter), levers_of(shell, cutter)
+        shell = bone.shell
+        cutter = bone.cutter
+        self._areas = shell.areas_m2
+        self._edges = edge_lengths_m(shell, cutter)
+        self._levers = levers_of(shell, cutter)
         self._elements = EngagedElements(bone, device=device, cores=cores)
 
     @property
@@ -169,12 +175,15 @@ class EngagedBone:
         share, advance, layer, density = self._elements.find(motion)
         met = np.flatnonzero(share)
         engaged = self._areas[met] * share[met]
-        lengths, speeds, layers = self._edges[met] * share[met], advance[met].astype(np.float64), layer[met]
+        lengths = self._edges[met] * share[met]
+        speeds = advance[met].astype(np.float64)
+        layers = layer[met]
         response.engaged_m2[:] = np.bincount(layers, engaged, minlength=len(self.layer_names))
         response.removal_rate_m3_s = float(engaged @ speeds) * motion.speed_m_s
         chip = self.bone.cutter.chip_per_speed_s * motion.speed_m_s * speeds
         edge = np.full(len(met), 1.0 if motion.speed_m_s > 0.0 else motion.pressed)
-        weights, levers = -lengths[:, None] * np.stack([chip, edge], axis=1), self._levers[met]
+        weights = -lengths[:, None] * np.stack([chip, edge], axis=1)
+        levers = self._levers[met]
         for at, nodes in enumerate(self.nodes):
             here = layers == at
             self.unit_loads[at][:] = _sums(weights[here], levers[here], nodes.shares[density[met][here]], motion)

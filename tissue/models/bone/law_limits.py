@@ -54,7 +54,10 @@ class SmoothSurface:
         radii = [max(piece.start[0], piece.end[0]) for piece in ends]
         self.blocked_m2 = BLOCKED * min([total_m2, *(pi * radius**2 for radius in radii)])
         self._sums = Mirror((chunks, AREA + layers), dtype=wp.float64, device=device)
-        self._store, self._device, self._tool, self._motion = store, device, revolution, motion
+        self._store = store
+        self._device = device
+        self._tool = revolution
+        self._motion = motion
         self._elements = elements_of(shell, cutter, spacing_m=store.grid.spacing_m, device=device)
         self._scratch = wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device)
         self._coefficients = _no_force(layers, device=device)
@@ -115,7 +118,8 @@ class LawLimits:
     """
 
     def __init__(self, cutter: Cutter, smooth: SmoothSurface | None) -> None:
-        self._cutter, self._smooth = cutter, smooth
+        self._cutter = cutter
+        self._smooth = smooth
         self.notices: list[str] = []
         self.passed: dict[str, str] = {}
         self.thickest_m = 0.0

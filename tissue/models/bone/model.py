@@ -74,7 +74,8 @@ class BoneModel:
         self.carver = Carver(self.store, cutter, removal=removal, device=device, cores=cores)
         layers = len(self.layer_names)
         spacing = grid.spacing_m
-        self._origin, self._spacing = grid.origin_m, spacing
+        self._origin = grid.origin_m
+        self._spacing = spacing
         self.shell = cutter.shell(spacing_m=self.shell_spacing_m)
         self._parts = np.zeros((4, 3))  # chip force and torque, edge force and torque
         self._response = Response(self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers))
@@ -86,7 +87,8 @@ class BoneModel:
         self.coefficients = coefficients
         self._coefficients = _on_device(coefficients, device=device)
         self._scratch = wp.zeros((chunks, SLOTS + 1), dtype=corner8f, device=device)
-        self._device, self._cores = device, cores
+        self._device = device
+        self._cores = cores
         smooth = None
         if cutter.has_smooth_surface:
             smooth = SmoothSurface(cutter, store, self.carver.tool, self._motion.device, device=device)
@@ -97,7 +99,8 @@ class BoneModel:
 
     def _record(self) -> None:
         """Record the launch of the forces on the store's arrays as they are now."""
-        store, self._answered = self.store, None
+        store = self.store
+        self._answered = None
         self._forces = SplitLaunch(
             cutting_forces,
             dim=len(self._sums.host),
@@ -186,7 +189,8 @@ class BoneModel:
             self._sums.pull()
         sums = np.add.reduce(self._sums.host, axis=0)
         np.dot(sums[:RATE].reshape(4, 3), motion.rotation.T, out=self._parts)
-        response, speed = self._response, motion.speed_m_s
+        response = self._response
+        speed = motion.speed_m_s
         response.engaged_m2[:] = sums[AREA:]
         response.removal_rate_m3_s = float(sums[RATE]) * speed
         self.limits.check(motion, float(np.add.reduce(response.engaged_m2)), is_new=is_new)
@@ -216,7 +220,8 @@ def _on_device(coefficients: tuple[CuttingCoefficients, ...], *, device: str) ->
         values = np.pad(np.repeat(parts, (5, 6, 3), axis=1), ((0, 0), (0, 2)))
         return wp.array(values, dtype=lever16, device=device)
 
-    arrays.chip, arrays.edge = at_levers(CuttingCoefficients.CHIP), at_levers(CuttingCoefficients.EDGE)
+    arrays.chip = at_levers(CuttingCoefficients.CHIP)
+    arrays.edge = at_levers(CuttingCoefficients.EDGE)
     density = np.arange(DENSITIES)
     strength = [(density / layer.reference_density_kg_m3) ** layer.density_exponent for layer in coefficients]
     arrays.strength = wp.array(np.array(strength), dtype=wp.float32, device=device)

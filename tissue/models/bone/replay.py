@@ -42,7 +42,8 @@ class CarvingReplay:
         removal: Removal = "subvoxel",
         device: str = "cpu",
     ) -> None:
-        self._poses, self._motion = poses, ToolMotion()
+        self._poses = poses
+        self._motion = ToolMotion()
         self._store = BrickStore.from_volume(volume, device=device)
         self._carver = Carver(self._store, cutter, removal=removal, device=device)
         self._start = self._carver.state()
@@ -56,7 +57,8 @@ class CarvingReplay:
         last = int(np.searchsorted(self._poses[:, 0], tick, side="right"))
         if last < self._next:
             self._carver.restore(self._start)
-            self._changed, self._next = self._cut, 0
+            self._changed = self._cut
+            self._next = 0
         for pose in self._poses[self._next : last]:
             self._carve(pose)
         self._next = last
@@ -79,7 +81,8 @@ class CarvingReplay:
         self._carver.restore(self._start)
         self._store.take_touched()
         below = self._store.remaining.numpy()[: len(self._store.places)] <= FULL // 2
-        found, ticks = [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+        found = [np.zeros((0, 3), dtype=np.int64)]
+        ticks = [np.zeros(0, dtype=np.int64)]
 
         def take(tick: int) -> None:
             rows, left = self._store.take_touched()
@@ -100,12 +103,14 @@ class CarvingReplay:
         self._carver.finish()
         take(tick)
         self._carver.restore(self._start)
-        self._changed, self._next = self._cut, 0
+        self._changed = self._cut
+        self._next = 0
         return np.concatenate(found), np.concatenate(ticks)
 
     def _carve(self, pose: NDArray[np.float64]) -> None:
         motion = self._motion
-        motion.tip_m[:], motion.rotation[:, 2] = pose[1:4], pose[4:7]
+        motion.tip_m[:] = pose[1:4]
+        motion.rotation[:, 2] = pose[4:7]
         motion.heading[:] = pose[7:].reshape(2, 3)
         if pose[0] < 0.0:
             self._carver.place(motion)

@@ -32,7 +32,9 @@ SIDE_M = 0.08
 """Side of the block across the needle [m]."""
 BELOW_M = 0.03
 """Tissue between the deepest tip and the base [m]."""
-COARSE_M, FINE_M, GROWTH = 0.01, 2.2e-3, 0.75
+COARSE_M = 0.01
+FINE_M = 2.2e-3
+GROWTH = 0.75
 """Bricks of the block [m], longest edge on the track [m], and how much edges grow with the distance from it."""
 ON_TRACK_M = 1e-9
 """Rounding of a node's place [m]."""
@@ -132,7 +134,9 @@ class NeedleFields:
         fixed = np.zeros(len(mesh.nodes_m), dtype=bool)
         fixed[held] = True
         body = HeldBody(assemble(space, rows), space.nodes_m, held_nodes(fixed))
-        self.track, self.nodes, self._inward = track, nodes, -track.outward
+        self.track = track
+        self.nodes = nodes
+        self._inward = -track.outward
         self._near_m = near_m
         self._columns = self._axial_columns(DirectSolver(body))
         self._compliance = self._columns[:, nodes] @ self._inward
@@ -147,7 +151,8 @@ class NeedleFields:
             held=held,
             interval_s=interval_s,
         )
-        self.next_s, self._kept = 0.0, list[tuple[float, float, float]]()
+        self.next_s = 0.0
+        self._kept = list[tuple[float, float, float]]()
 
     @classmethod
     def of_liver(
@@ -180,7 +185,8 @@ class NeedleFields:
     def note(self, tissue: NeedleTissue) -> str:
         """A sentence on what the fields are, and the force of their block besides that of the needle's model."""
         puncture = tissue.membranes[0].puncture_N if tissue.membranes else tissue.cutting_N
-        moved, deepest = tissue.deflection_m(puncture), self.track.deepest_m
+        moved = tissue.deflection_m(puncture)
+        deepest = self.track.deepest_m
         entry, shaft = (float(self.forces_N(moved, inserted).sum()) for inserted in (0.0, deepest))
         size = " x ".join(f"{1e3 * side:.0f}" for side in np.ptp(self.series.nodes_m, axis=0))
         return (

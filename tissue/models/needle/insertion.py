@@ -98,27 +98,33 @@ class Insertion:
         the pull is known: up to the sliding force it is shared in the same proportion, what goes beyond is reported as
         elastic before an intact membrane and as friction elsewhere.
         """
-        pull, length = self.pull_N, self.inserted_m
+        pull = self.pull_N
+        length = self.inserted_m
         if length == 0.0 and (self.blocked or self._depths[:1] == (0.0,)):
             return pull, 0.0, 0.0
         friction = self.tissue.friction
         if pull >= 0.0:
-            hold, cutting = self._hold_N(inwards=True), self.tissue.cutting_N if length == self.cut_m else 0.0
+            hold = self._hold_N(inwards=True)
+            cutting = self.tissue.cutting_N if length == self.cut_m else 0.0
             rubbing = friction.sliding_in_N_m * length
         else:
-            hold, cutting = self._hold_N(inwards=False), 0.0
+            hold = self._hold_N(inwards=False)
+            cutting = 0.0
             rubbing = friction.sliding_out_N_m * length
         sliding = hold + cutting + rubbing
         share = min(abs(pull) / sliding, 1.0) if sliding > 0.0 else 0.0
         if pull < 0.0:
             share = -share
-        elastic, cutting, rubbing = share * hold, max(share, 0.0) * cutting, share * rubbing
+        elastic = share * hold
+        cutting = max(share, 0.0) * cutting
+        rubbing = share * rubbing
         rest = pull - elastic - cutting - rubbing
         return (elastic + rest, cutting, rubbing) if self.blocked else (elastic, cutting, rubbing + rest)
 
     def _hold_N(self, *, inwards: bool) -> float:
         """What the holes around the shaft hold; one right at the tip holds only what goes inwards."""
-        length, held = self.inserted_m, 0.0
+        length = self.inserted_m
+        held = 0.0
         for depth, hold in zip(self._depths[: self.punctured], self._holds, strict=False):
             if depth < length or (inwards and depth == length):
                 held += hold
@@ -126,7 +132,8 @@ class Insertion:
 
     def _push(self, quick: bool) -> None:
         """Slide in while the pull exceeds what resists, from one stop to the next."""
-        tissue, friction = self.tissue, self.tissue.friction
+        tissue = self.tissue
+        friction = self.tissue.friction
         while True:
             per_length = friction.sliding_in_N_m if self.sliding > 0 else friction.static_in_N_m
             tip = tissue.cutting_N if self.inserted_m == self.cut_m else 0.0
@@ -162,7 +169,8 @@ class Insertion:
 
     def _draw(self, quick: bool) -> None:
         """Slide out while the organ, drawn along, pulls back with more than what holds it."""
-        tissue, friction = self.tissue, self.tissue.friction
+        tissue = self.tissue
+        friction = self.tissue.friction
         while self.inserted_m > 0.0:
             hold = self._hold_N(inwards=False)
             per_length = friction.sliding_out_N_m if self.sliding < 0 else friction.static_out_N_m

@@ -59,13 +59,17 @@ class NeedleModel:
         fields: "NeedleFields | None" = None,
     ) -> None:
         require_positive("diameter_m", diameter_m, "an 18 gauge needle has 1.27e-3 m")
-        self.tissue, self.insertion, self._fields = tissue, Insertion(tissue), fields
-        self._diameter_m, self._entry_m = diameter_m, np.full(3, np.nan)
+        self.tissue = tissue
+        self.insertion = Insertion(tissue)
+        self._fields = fields
+        self._diameter_m = diameter_m
+        self._entry_m = np.full(3, np.nan)
         membranes = tuple(membrane.name for membrane in tissue.membranes)
         surface = sum(membrane.depth_m == 0.0 for membrane in tissue.membranes)
         self.layer_names = (*membranes[:surface], "parenchyma", *membranes[surface:])
         self._parenchyma = surface
-        self.start_m3, self.removed_m3 = np.zeros(len(self.layer_names)), np.zeros(len(self.layer_names))
+        self.start_m3 = np.zeros(len(self.layer_names))
+        self.removed_m3 = np.zeros(len(self.layer_names))
         self.notices: list[str] = []
         self._response = Response.empty(len(self.layer_names), len(self.measure_names))
 
@@ -91,7 +95,8 @@ class NeedleModel:
         insertion = self.insertion
         if travel > 0.0 and insertion.travel_m <= 0.0 and insertion.inserted_m == 0.0:
             insertion = self._touch(motion, travel)
-        inside, punctured = insertion.inserted_m > 0.0, insertion.punctured
+        inside = insertion.inserted_m > 0.0
+        punctured = insertion.punctured
         insertion.advance(travel, motion.speed_m_s * float(motion.heading[0].dot(motion.rotation[:, 2])))
         while punctured < insertion.punctured:
             at, force = insertion.punctures[punctured]
@@ -103,7 +108,8 @@ class NeedleModel:
 
     def respond(self, motion: ToolMotion) -> Response:
         """Force on the needle along its axis."""
-        insertion, response = self.insertion, self._response
+        insertion = self.insertion
+        response = self._response
         axis = motion.rotation[:, 2]
         along = float(motion.heading[0].dot(axis))
         drag = insertion.drag_N_s_m * along
@@ -116,8 +122,11 @@ class NeedleModel:
             response.engaged_m2[self._layer()] = 0.25 * pi * self._diameter_m**2
         elastic, cutting, friction = insertion.shares_N()
         measures = response.measures
-        measures[0], measures[1] = 1e3 * insertion.inserted_m, 1e3 * insertion.deflection_m
-        measures[2], measures[3], measures[4] = elastic, cutting, friction - drag * motion.speed_m_s
+        measures[0] = 1e3 * insertion.inserted_m
+        measures[1] = 1e3 * insertion.deflection_m
+        measures[2] = elastic
+        measures[3] = cutting
+        measures[4] = friction - drag * motion.speed_m_s
         return response
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
@@ -138,7 +147,8 @@ class NeedleModel:
 
     def _travel_m(self, motion: ToolMotion) -> float:
         """How far the tip lies beyond the surface, along the needle's axis [m]; negative outside."""
-        below, cosine = -float(motion.tip_m[2]), float(motion.rotation[2, 2])
+        below = -float(motion.tip_m[2])
+        cosine = float(motion.rotation[2, 2])
         if not (isfinite(below) and isfinite(cosine)):
             raise InputError(f"the needle's pose must be finite, got its tip at {motion.tip_m}: mend the motion")
         if cosine >= LEAST_COSINE:

@@ -77,7 +77,8 @@ class ShaftFriction:
         for entry in fields(self):
             require_range(entry.name, getattr(self, entry.name), 0.0, GREATEST_N_M, "give its size, in SI units")
         for side in ("in", "out"):
-            sliding, static = getattr(self, f"sliding_{side}_N_m"), getattr(self, f"static_{side}_N_m")
+            sliding = getattr(self, f"sliding_{side}_N_m")
+            static = getattr(self, f"static_{side}_N_m")
             if static < sliding:
                 raise InputError(
                     f"static_{side}_N_m must be at least sliding_{side}_N_m ({sliding:g}), got {static:g}: a shaft at "

@@ -27,7 +27,8 @@ class Factor:
     """A sparse factor that is made when it is first needed; where it would be too large, multigrid."""
 
     def __init__(self, body: HeldBody) -> None:
-        self._body, self._last = body, np.zeros(0, dtype=np.int64)
+        self._body = body
+        self._last = np.zeros(0, dtype=np.int64)
 
     @cached_property
     def solver(self) -> DirectSolver | MultigridSolver:

@@ -1,6 +1,8 @@
 """Contact of a tool with an elastic organ on the compliance of the nodes that may be touched."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
 from math import isfinite
 
 import numpy as np
@@ -25,11 +27,63 @@ from kernels.shell_projection import link_points, project_shell
 from kernels.surface_contact import solve_contact
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.models.organ.contact_arrays import body_arrays, list_arrays, point_arrays, put
-from tissue.models.organ.contact_result import ContactOutcome, ContactResult
+from tissue.models.organ.contact_points import body_arrays, list_arrays, point_arrays, put
 from tissue.models.organ.probe import ProbeShape, ShellProbe
 
-__all__ = ["SurfaceContact"]
+__all__ = ["ContactOutcome", "ContactResult", "SurfaceContact"]
+
+
+class ContactOutcome(Enum):
+    """How a contact solve ended; the value holds the remedy."""
+
+    CONVERGED = "the forces hold to the tolerance"
+    NOT_CONVERGED = "the sweeps ran out: allow more, loosen the tolerance, or move the tool in smaller steps"
+    IMMOVABLE = "the tool enters where the organ's supports do not yield: hold fewer nodes, or press elsewhere"
+    MISSING = "the compliance of nodes in reach is not there: fill the blocks of nodes_in_reach before the solve"
+
+
+@dataclass
+class ContactResult:
+    """What a contact does to tool and organ, reused from solve to solve; world frame.
+
+    Attributes
+    ----------
+    force_N
+        Force on the tool [N], shape (3,).
+    torque_Nm
+        Torque on the tool about its tip [N m], shape (3,).
+    nodal_forces_N
+        Forces on the organ's touchable nodes [N], shape (s, 3).
+    outcome
+        How the solve ended.
+    iterations
+        Gauss-Seidel sweeps.
+    contacts
+        Contact points that carry force.
+    area_m2
+        Area of the organ's surface, or of the shell, that these points stand for [m2].
+    penetration_m
+        Deepest penetration left [m].
+    """
+
+    force_N: Array
+    torque_Nm: Array
+    nodal_forces_N: Array
+    compliance_m_N: Array = field(repr=False)
+    outcome: ContactOutcome = ContactOutcome.CONVERGED
+    iterations: int = 0
+    contacts: int = 0
+    area_m2: float = 0.0
+    penetration_m: float = 0.0
+    compliance_scale: float = field(default=1.0, repr=False)
+
+    def displacement_m(self) -> Array:
+        """Displacement of the touchable nodes under the contact forces [m], shape (s, 3); for drawing."""
+        loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
+        columns = (3 * loaded[:, None] + np.arange(3)).ravel()
+        moved: Array = self.compliance_scale * (self.compliance_m_N[:, columns] @ self.nodal_forces_N[loaded].ravel())
+        return moved.reshape(-1, 3)
+
 
 OUTCOMES = tuple(ContactOutcome)
 """In the order of the kernel's states."""
@@ -92,8 +146,13 @@ class SurfaceContact:
     ) -> None:
         self.friction = require_range("friction", friction, 0.0, 10.0, "give Coulomb's coefficient, 0 for none")
         _require_surface(nodes_m, faces, compliance_m_N)
-        self.nodes_m, self.faces, self.probe = nodes_m, faces, probe
-        self._tolerance, self._sweeps, self._device, self._cores = tolerance, sweeps, device, cores
+        self.nodes_m = nodes_m
+        self.faces = faces
+        self.probe = probe
+        self._tolerance = tolerance
+        self._sweeps = sweeps
+        self._device = device
+        self._cores = cores
         corners = nodes_m[faces]
         self._centres = corners.mean(axis=1)
         self._radii = np.linalg.norm(corners - self._centres[:, None], axis=2).max(axis=1)
@@ -112,9 +171,15 @@ class SurfaceContact:
 
     def _recorded(self) -> list[Callable[[], None]]:
         """Launches of a tick in their order, recorded with the compliance's scale of now."""
-        device, probe, size = self._device, self.probe, wp.vec2d(*self.probe.size_m)
-        body, points, lists, patch = self._body, self._points, self._lists, self._patch
-        pose, results = self._pose.device, self._results.device
+        device = self._device
+        probe = self.probe
+        size = wp.vec2d(*self.probe.size_m)
+        body = self._body
+        points = self._points
+        lists = self._lists
+        patch = self._patch
+        pose = self._pose.device
+        results = self._results.device
 
         def record(kernel: wp.Kernel, inputs: list[object]) -> Callable[[], None]:
             return wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True).launch
@@ -145,7 +210,8 @@ class SurfaceContact:
             raise InputError("rotation must be a rotation matrix, got another or NaN: make its columns orthonormal")
         self.forget()
         result = self.solve(tip_m, rotation)
-        depth, touching = result.penetration_m, result.contacts
+        depth = result.penetration_m
+        touching = result.contacts
         deepest = float(np.linalg.norm(result.displacement_m(), axis=1).max())
         self.forget()
         if touching and max(deepest, depth) > START_M:
@@ -223,7 +289,8 @@ class SurfaceContact:
             raise InputError(f"tip_m and rotation must be finite, got {tip_m}, {rotation.tolist()}: stop the tool")
         if not self._placed:
             self._keep(tip_m, rotation)
-        self._pose.host[0], self._pose.host[1:4] = tip_m, rotation
+        self._pose.host[0] = tip_m
+        self._pose.host[1:4] = rotation
         self._pose.push()
         for stage in self._stages:
             stage()
@@ -237,7 +304,8 @@ class SurfaceContact:
     def _keep(self, tip_m: Array, rotation: Array) -> None:
         """The pose that the next solve's path starts from."""
         self._placed = True
-        self._pose.host[4], self._pose.host[5:8] = tip_m, rotation
+        self._pose.host[4] = tip_m
+        self._pose.host[5:8] = rotation
 
     def _read(self, values: Array) -> None:
         """Bring the kernel's results into the result."""
@@ -247,8 +315,10 @@ class SurfaceContact:
         if not self._on_host:
             result.nodal_forces_N[:] = self._body.force.numpy()
         result.outcome = OUTCOMES[int(values[STATE])]
-        result.iterations, result.contacts = int(values[SWEEPS]), int(values[CONTACTS])
-        result.area_m2, result.penetration_m = float(values[AREA]), float(values[DEEPEST])
+        result.iterations = int(values[SWEEPS])
+        result.contacts = int(values[CONTACTS])
+        result.area_m2 = float(values[AREA])
+        result.penetration_m = float(values[DEEPEST])
 
 
 def _require_surface(nodes_m: Array, faces: Ints, compliance_m_N: Array) -> None:

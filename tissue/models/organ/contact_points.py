@@ -1,12 +1,15 @@
-"""Points of an organ's surface at which a tool is felt."""
+"""Contact points of an organ's surface, and the arrays that the kernels of a contact use."""
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
+from kernels.contact_state import Body, Lists, Points
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
+from tissue.models.organ.probe import ProbeShape, ShellProbe
 
-__all__ = ["contact_points"]
+__all__ = ["body_arrays", "contact_points", "list_arrays", "point_arrays", "put"]
 
 MOST_DIVISIONS = 16
 """Contact points along the edge of a triangle."""
@@ -53,7 +56,9 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[NDArr
     node_area = np.zeros(len(nodes_m))
     np.add.at(node_area, faces[division == 1], area[division == 1, None] / 3.0)
     named, first = np.unique(faces, return_index=True)
-    face, weights, areas = [first // 3], [np.eye(3)[first % 3]], [node_area[named]]
+    face = [first // 3]
+    weights = [np.eye(3)[first % 3]]
+    areas = [node_area[named]]
     for n in np.unique(division[division > 1]):
         i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
         up = np.column_stack([i, j])[i + j < n] + 1.0 / 3.0
@@ -68,3 +73,61 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[NDArr
     return (
         np.concatenate(face)[order].astype(np.int32), np.concatenate(weights)[order], np.concatenate(areas)[order]
     )  # fmt: skip
+
+
+def put(values: NDArray[np.generic], dtype: type, device: str) -> wp.array[object]:
+    """Copy of an array on a device."""
+    return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+
+def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str) -> Body:
+    """The touchable surface at rest, without force; on a CPU the compliance is used where it lies."""
+    body = Body()
+    body.free = put(nodes_m, wp.vec3d, device)
+    body.last_free = put(nodes_m, wp.vec3d, device)
+    body.scale = wp.float64(1.0)
+    body.compliance = wp.array(compliance_m_N, dtype=wp.float64, device=device, copy=device != "cpu")
+    body.corners = put(faces, wp.int32, device)
+    for name in ("force", "moved"):
+        setattr(body, name, wp.zeros(len(nodes_m), dtype=wp.vec3d, device=device))
+    return body
+
+
+def point_arrays(nodes_m: Array, faces: Ints, probe: ProbeShape, spacing_m: float | None, device: str) -> Points:
+    """Contact points without force, chained by triangle: a shell's own, or some spread over the triangles.
+
+    Parameters
+    ----------
+    spacing_m
+        Widest spacing of points on the triangles [m]; None: what the tool asks for.
+    """
+    if isinstance(probe, ShellProbe):
+        face = np.zeros(0, dtype=np.int32)
+        weights = np.zeros((len(probe.points_m), 3))
+        areas = probe.areas_m2
+        following = np.full(len(weights), -1)
+    else:
+        face, weights, areas = contact_points(nodes_m, faces, spacing_m or probe.spacing_m)
+        following = np.append(np.where(np.diff(face) == 0, np.arange(1, len(face)), -1), -1)
+    first = np.full(len(faces), -1)
+    first[face[::-1]] = np.arange(len(face))[::-1]
+    points = Points()
+    count = len(weights)
+    points.first = put(first, wp.int32, device)
+    points.following = put(following, wp.int32, device)
+    points.weight = put(weights, wp.vec3d, device)
+    points.area = put(areas, wp.float64, device)
+    for name in ("tool_point", "tool_normal", "force", "anchor"):
+        setattr(points, name, wp.zeros(count, dtype=wp.vec3d, device=device))
+    points.response = wp.zeros((count, 5), dtype=wp.mat33d, device=device)
+    points.ready = wp.zeros(count, dtype=wp.int32, device=device)
+    return points
+
+
+def list_arrays(triangles: int, device: str) -> Lists:
+    """Empty work lists for so many triangles."""
+    lists = Lists()
+    lists.count = wp.zeros(3, dtype=wp.int32, device=device)
+    for name in ("near", "working", "working_mark"):
+        setattr(lists, name, wp.zeros(triangles, dtype=wp.int32, device=device))
+    return lists

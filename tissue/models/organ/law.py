@@ -15,7 +15,7 @@ from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.surface_transfer import surface_transfer
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.compliance import FACTOR_UNKNOWNS
-from tissue.models.organ.large_fields import LargeFields
+from tissue.models.organ.fields import LargeFields
 from tissue.models.organ.law_offset import LawOffset
 
 if TYPE_CHECKING:

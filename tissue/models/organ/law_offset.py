@@ -27,7 +27,8 @@ from tissue.models.tissue_model import SLOW
 
 __all__ = ["LawOffset"]
 
-TOLERANCE, STEPS = 0.02, 30
+TOLERANCE = 0.02
+STEPS = 30
 """Of the forces that nothing balances at the end of a solve, over the greatest nodal force; most steps of a solve."""
 MISSED = 0.05
 """Share of the displacement by which an equilibrium is off what was expected, from which the compliance is made anew:
@@ -73,20 +74,24 @@ class LawOffset:
     def __init__(
         self, follower: QuasiNewton, fixed: NDArray[np.bool_], transfer: csr_array, *, interval_s: float
     ) -> None:
-        self._follower, self._fixed = follower, fixed
-        self._transfer, self._spread = transfer, csr_array(transfer.T)
+        self._follower = follower
+        self._fixed = fixed
+        self._transfer = transfer
+        self._spread = csr_array(transfer.T)
         self._nodes = np.unique(transfer.indices)
         self._near = csr_array(transfer[:, self._nodes])
         self._each = csr_array(kron(self._near, np.eye(3)))
         self.interval_s = interval_s
-        none, there = np.zeros((transfer.shape[0], 3)), np.zeros((len(self._nodes), 3))
+        none = np.zeros((transfer.shape[0], 3))
+        there = np.zeros((len(self._nodes), 3))
         self._offset = none.copy()
         self._before = self._now = _Line(none, none, 0.0, 0.0)
         self._apart = (0.0, there, there)
         self._factor = follower.at_rest
         self._rest = self._between = self._factor.compliance_between(self._nodes)
         self._at_rest: Array | None = None
-        self._changed_s, self._next_s = 0.0, interval_s
+        self._changed_s = 0.0
+        self._next_s = interval_s
         self.notices: list[str] = []
         self.solves = self.unsettled = 0
         """Solves so far, and those whose equilibrium was not reached."""
@@ -114,11 +119,13 @@ class LawOffset:
         """Where an interval ends, find the equilibrium of the forces of a contact, and how it goes on from there."""
         if time_s < self._next_s - 1e-9:
             return
-        started, indefinite = perf_counter(), self.indefinite
+        started = perf_counter()
+        indefinite = self.indefinite
         load = self._spread @ contact.result.nodal_forces_N
         springs = self._springs(contact.result.nodal_forces_N, load)
         found = self._follower.follow(load, tolerance=TOLERANCE, step_limit=STEPS, springs=springs)
-        forces, moved = found.load_N[self._nodes], found.displacement_m[self._nodes]
+        forces = found.load_N[self._nodes]
+        moved = found.displacement_m[self._nodes]
         self._now.into(expected := np.zeros_like(self._offset), depth_m, 1.0)
         missed = float(np.linalg.norm(self._off(moved, forces) - expected))
         if self._follower.factor is self._factor and missed > MISSED * float(np.linalg.norm(self._near @ moved)):
@@ -129,12 +136,16 @@ class LawOffset:
         moved = (found.displacement_m + self._factor.solve(left).displacement_m)[self._nodes]
         offset = self._off(moved, forces)
         last_m, *last = self._apart
-        slope, reach_m = self._now.slope, self._now.reach_m
+        slope = self._now.slope
+        reach_m = self._now.reach_m
         if abs(depth_m - last_m) >= APART_M:
-            slope, reach_m = (offset - self._off(*last)) / (depth_m - last_m), FARTHEST * abs(depth_m - last_m)
+            slope = (offset - self._off(*last)) / (depth_m - last_m)
+            reach_m = FARTHEST * abs(depth_m - last_m)
             self._apart = (depth_m, moved, forces)
-        self._before, self._now = self._now, _Line(offset, slope, depth_m, reach_m)
-        self._changed_s, self._next_s = time_s, time_s + self.interval_s
+        self._before = self._now
+        self._now = _Line(offset, slope, depth_m, reach_m)
+        self._changed_s = time_s
+        self._next_s = time_s + self.interval_s
         self._report(found.residual, perf_counter() - started, first=indefinite == 0)
 
     def _springs(self, forces_N: Array, load_N: Array) -> Springs:
@@ -156,7 +167,8 @@ class LawOffset:
         """Go on with the compliance of the stiffness that was factorised last; nothing moves by that."""
         if self._at_rest is None:
             self._at_rest = contact.result.compliance_m_N.copy()
-        self._factor, before = self._follower.factor, self._between
+        self._factor = self._follower.factor
+        before = self._between
         self._between = self._factor.compliance_between(self._nodes)
         change = self._each @ (self._each @ (self._between - self._rest)).T
         contact.change_compliance(self._at_rest + 0.5 * (change + change.T))

@@ -25,8 +25,7 @@ from tissue.fem.fields import FieldSeries
 from tissue.fem.solvers.lazy_compliance import LazyCompliance
 from tissue.fem.space import Space
 from tissue.materials.prony import HereditaryIntegral, Prony
-from tissue.models.organ.contact import SurfaceContact
-from tissue.models.organ.contact_result import ContactOutcome
+from tissue.models.organ.contact import ContactOutcome, SurfaceContact
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.law_offset import LawOffset
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
@@ -80,16 +79,22 @@ class LiverModel:
         ball_radius_m: float | None = None,
         step_s: float = TICK_S,
     ) -> None:
-        self.contact, self._fields, self._lazy, self._law, self._step_s = contact, fields, lazy, law, step_s
+        self.contact = contact
+        self._fields = fields
+        self._lazy = lazy
+        self._law = law
+        self._step_s = step_s
         self.layer_names = space.mesh.part_names
         parts = np.zeros(len(self.layer_names))
         np.add.at(parts, space.mesh.part, space.mesh.volumes_m3)
-        self.start_m3, self.removed_m3 = parts, np.zeros(len(parts))
+        self.start_m3 = parts
+        self.removed_m3 = np.zeros(len(parts))
         self.notices: list[str] = []
         self._response = Response.empty(len(self.layer_names), len(self.measure_names))
         self._layer = int(np.bincount(_parts_at(space, touchable)).argmax())
         self._touched_m = np.full(3, np.nan)
-        self._unsettled, self._ticks = False, 0
+        self._unsettled = False
+        self._ticks = 0
         radius_m = ball_radius_m if law is None else None
         self._limits = [(depth * radius_m, error) for depth, error in LINEAR_ERROR] if radius_m else []
         self._crept_N = np.zeros((len(touchable), 3))
@@ -138,8 +143,10 @@ class LiverModel:
 
     def respond(self, motion: ToolMotion) -> Response:
         """Force and torque on the probe."""
-        result, response = self.contact.result, self._response
-        response.wrench[:3], response.wrench[3:] = result.force_N, result.torque_Nm
+        result = self.contact.result
+        response = self._response
+        response.wrench[:3] = result.force_N
+        response.wrench[3:] = result.torque_Nm
         response.edge[:] = response.wrench
         if result.contacts == 0:
             self._touched_m[:] = np.nan
@@ -154,7 +161,8 @@ class LiverModel:
                 f"pressed {1e3 * depth:.1f} mm deep: from here linear elasticity is more than {error:.0%} off a "
                 "hyperelastic force"
             )
-        measures[1], measures[2] = result.contacts, result.iterations
+        measures[1] = result.contacts
+        measures[2] = result.iterations
         return response
 
     def wait_for_background(self, time_s: float) -> None:

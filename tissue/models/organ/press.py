@@ -11,16 +11,16 @@ from meshes.base.progress import Progress, silent
 from tissue.fem.fields import Frame
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.contact_points import contact_points
-from tissue.models.organ.patch import linear_triangles
 from tissue.models.organ.probe import ProbeShape, ShellProbe
-from tissue.models.organ.soft_organ import SoftOrgan
+from tissue.models.organ.soft_organ import SoftOrgan, linear_triangles
 from tissue.models.tissue_model import ToolMotion
 
 __all__ = ["PressCurve", "press"]
 
 STEPS = 100
 """Fewest steps from the first touch to the depth."""
-TOLERANCE, SWEEPS = 1e-5, 5000
+TOLERANCE = 1e-5
+SWEEPS = 5000
 """Of the contact, which has no tick to keep: a rod under a flat punch has its stress within 1 %."""
 PER_RELAXATION = 5
 """Steps within the shortest relaxation time of an organ that relaxes."""
@@ -116,13 +116,15 @@ def press(
     motion = ToolMotion(tip_m=start_m.copy(), rotation=rotation.copy())
     model.place(motion)
     depths = np.append(np.linspace(0.0, depth_m, steps + 1), np.full(ceil(hold_s / step_s), depth_m))
-    force, area = np.zeros((len(depths), 3)), np.zeros(len(depths))
+    force = np.zeros((len(depths), 3))
+    area = np.zeros(len(depths))
     for row, depth in enumerate(depths):
         report("pressing", row / len(depths))
         motion.tip_m[:] = touch_m + depth * along
         model.advance(motion)
         response = model.respond(motion)
-        force[row], area[row] = response.wrench[:3], response.engaged_m2.sum()
+        force[row] = response.wrench[:3]
+        area[row] = response.engaged_m2.sum()
     times = (step_s * np.arange(len(depths))).astype(np.float64)
     model.start_background(float(times[-1]), motion)
     model.finish()
@@ -141,7 +143,8 @@ def _steps(organ: SoftOrgan, press_s: float) -> tuple[int, float]:
 
 def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: Array) -> float:
     """How far before the point the tool is clear of the organ [m]."""
-    nodes, triangles = organ.space.nodes_m + organ.rest[1], linear_triangles(organ.space.faces)
+    nodes = organ.space.nodes_m + organ.rest[1]
+    triangles = linear_triangles(organ.space.faces)
     if isinstance(probe, ShellProbe):
         points = nodes[np.unique(triangles)]
     else:
@@ -173,7 +176,8 @@ def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation
         contact.forget()
         return contact.solve(start_m + share * (end_m - start_m), rotation).contacts > 0
 
-    before, after = 0.0, 1.0
+    before = 0.0
+    after = 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (before + after)
         before, after = (before, middle) if touches(middle) else (middle, after)

@@ -108,9 +108,11 @@ class CylinderProbe(ProbeShape):
         radius = np.hypot(points_m[:, 0], points_m[:, 1])
         out = np.zeros_like(points_m)
         np.divide(points_m[:, :2], radius[:, None], out=out[:, :2], where=radius[:, None] > 0.0)
-        outside, below = radius - self.radius_m + self.edge_m, self.edge_m - points_m[:, 2]
+        outside = radius - self.radius_m + self.edge_m
+        below = self.edge_m - points_m[:, 2]
         corner = np.hypot(np.maximum(outside, 0.0), np.maximum(below, 0.0))
-        round_edge, side = (outside > 0.0) & (below > 0.0), outside > below
+        round_edge = (outside > 0.0) & (below > 0.0)
+        side = outside > below
         along = np.where(round_edge, np.divide(outside, corner, out=np.zeros_like(corner), where=round_edge), side)
         down = np.where(round_edge, np.divide(below, corner, out=np.zeros_like(corner), where=round_edge), ~side)
         inside = np.minimum(np.maximum(outside, below), 0.0)
@@ -181,7 +183,8 @@ class ShellProbe(ProbeShape):
         longest = (2.0 * surface.area / points) ** 0.5
         vertices, faces = trimesh.remesh.subdivide_to_size(surface.vertices, surface.faces, 1.5 * longest)
         fine = trimesh.Trimesh(vertices, faces, process=False)
-        centres, normals = np.asarray(fine.triangles_center), np.array(fine.face_normals)
+        centres = np.asarray(fine.triangles_center)
+        normals = np.array(fine.face_normals)
         chosen, areas = _thinned(centres, normals, np.asarray(fine.area_faces), (surface.area / points) ** 0.5)
         return cls(scale * centres[chosen], normals[chosen], scale**2 * areas)
 

@@ -1,12 +1,14 @@
-"""A soft organ at rest, ready to be pressed: its mesh, what it is made of, what holds it, what it weighs."""
+"""A soft organ at rest, ready to be pressed: its mesh, materials, supports and weight."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf
 
 import numpy as np
 from scipy.sparse import bsr_array
 
+from kernels.cores import core_count
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.kept import Kept
@@ -16,20 +18,122 @@ from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
 from tissue.fem.capsule import capsule_stiffness
 from tissue.fem.loads import gravity
+from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.space import Space
 from tissue.materials.prony import Prony
 from tissue.models.organ.compliance import CompliancePath, Factor, compliance_of
 from tissue.models.organ.contact import SurfaceContact
 from tissue.models.organ.fields import OrganFields
-from tissue.models.organ.kept_columns import KeptColumns
 from tissue.models.organ.law import OrganLaw, large_fields_of, law_offset_of
 from tissue.models.organ.model import LiverModel
-from tissue.models.organ.patch import touchable_patch
 from tissue.models.organ.probe import ProbeShape, SphereProbe
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["Membrane", "SoftOrgan"]
+__all__ = ["KeptColumns", "Membrane", "SoftOrgan", "linear_triangles", "touchable_patch"]
+
+MARGIN_EDGES = 0.25
+"""Edges of the mesh beyond the tool's path within which the surface may be touched."""
+
+
+def touchable_patch(space: Space, probe: ProbeShape, tips_m: Array, rotations: Array) -> tuple[Ints, Ints]:
+    """Surface nodes near a tool's path, shape (t,), and the triangles between them, shape (f, 3), by their places.
+
+    Parameters
+    ----------
+    space
+        The organ's nodes and cells.
+    probe
+        The tool.
+    tips_m, rotations
+        Poses along the path: tips [m], shape (p, 3), and tool to world, shape (p, 3, 3).
+
+    Raises
+    ------
+    InputError
+        If the tool touches nothing along the path.
+    """
+    triangles = linear_triangles(space.faces)
+    centres = space.nodes_m[triangles].mean(axis=1)
+    reach = np.linalg.norm(space.nodes_m[triangles] - centres[:, None], axis=2).max(axis=1)
+    nearest = np.full(len(triangles), np.inf)
+    for tip, turn in zip(tips_m, rotations, strict=True):
+        nearest = np.minimum(nearest, probe.distance((centres - tip) @ turn)[0])
+    if not (nearest < reach).any():
+        low, high = (
+            ", ".join(f"{1e3 * v:.4g}" for v in corner) for corner in (centres.min(axis=0), centres.max(axis=0))
+        )
+        raise InputError(
+            "motion must bring the tool to the organ, got a tool that never touches it: move it to the organ between "
+            f"({low}) and ({high}) mm"
+        )
+    chosen = triangles[nearest < reach * (1.0 + 2.0 * MARGIN_EDGES)]
+    nodes, places = np.unique(chosen, return_inverse=True)
+    return nodes.astype(np.int64), places.reshape(-1, 3).astype(np.int64)
+
+
+def linear_triangles(faces: Ints) -> Ints:
+    """Faces of three nodes as they are, of six (corners, then middles of edges 01, 12, 02) as four triangles each."""
+    if faces.shape[1] == 3:
+        return faces
+    parts = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+    return faces[:, parts].reshape(-1, 3)
+
+
+TOGETHER = 16
+"""Columns in one back-substitution, on one thread of BLAS: more gain nothing, and threads on small blocks lose."""
+LIMIT_BYTES = 1_000_000_000
+"""Memory above which the columns of earlier places are dropped."""
+
+
+class KeptColumns:
+    """Displacements of an organ's surface under unit forces on its nodes, kept from press to press.
+
+    Parameters
+    ----------
+    factor
+        The organ's factor, which is made when the first compliance is needed.
+    surface
+        Nodes of the surface in rising order, shape (s,).
+    """
+
+    def __init__(self, factor: Factor, surface: Ints) -> None:
+        self._factor = factor
+        self._surface = surface
+        self._rows = (3 * surface[:, None] + np.arange(3)).ravel()
+        self._columns: dict[int, Array] = {}
+
+    def between(self, nodes: Ints) -> Array:
+        """Compliance between some nodes of the surface [m/N], symmetric, shape (3t, 3t)."""
+        solver = self._factor.solver
+        if isinstance(solver, DirectSolver) and np.isin(nodes, solver.last).all():
+            return solver.compliance_between(nodes)
+        missing = [int(node) for node in nodes if int(node) not in self._columns]
+        if 8 * 3 * len(self._rows) * (len(self._columns) + len(missing)) > LIMIT_BYTES:
+            self._columns.clear()
+            missing = [int(node) for node in nodes]
+        self._find(missing)
+        rows = (3 * np.searchsorted(self._surface, nodes)[:, None] + np.arange(3)).ravel()
+        matrix: Array = np.concatenate([self._columns[int(node)][rows] for node in nodes], axis=1)
+        return 0.5 * (matrix + matrix.T)
+
+    def _find(self, nodes: list[int]) -> None:
+        from threadpoolctl import threadpool_limits
+
+        solver = self._factor.solver
+        each = TOGETHER // 3
+        solve = partial(solver.columns, together=TOGETHER) if isinstance(solver, DirectSolver) else solver.columns
+        parts = [nodes[start : start + each] for start in range(0, len(nodes), each)]
+
+        def find(part: list[int]) -> Array:
+            found: Array = solve((3 * np.array(part)[:, None] + np.arange(3)).ravel())[self._rows]
+            return found
+
+        # A back-substitution releases the interpreter lock.
+        with threadpool_limits(1, "blas"), ThreadPoolExecutor(core_count(), thread_name_prefix="columns") as threads:
+            for part, columns in zip(parts, threads.map(find, parts), strict=True):
+                for place, node in enumerate(part):
+                    self._columns[node] = columns[:, 3 * place : 3 * place + 3].copy()
 
 
 _spaces: Kept[Space] = Kept(2)
@@ -95,8 +199,13 @@ class SoftOrgan:
         device: str = "cpu",
     ) -> None:
         self.space = _spaces.of((mesh, order, device), lambda: Space(mesh, order, device=device))
-        self.elasticity, self.held, self.prony, self.friction = elasticity, held, prony, friction
-        self._capsule, self._density, self._law = capsule, density_kg_m3, law
+        self.elasticity = elasticity
+        self.held = held
+        self.prony = prony
+        self.friction = friction
+        self._capsule = capsule
+        self._density = density_kg_m3
+        self._law = law
         if law is not None and not (capsule is None and density_kg_m3 is None and prony is None):
             raise InputError("law must be None with a capsule, a weight or a relaxation, got one: leave them out")
 
@@ -219,7 +328,8 @@ class SoftOrgan:
         load, rest = self.rest
         report("condensing the compliance to the surface that can be touched", 0.0)
         if path is None:
-            compliance, lazy = self._columns.between(touchable), None
+            compliance = self._columns.between(touchable)
+            lazy = None
         else:
             compliance, lazy = compliance_of(
                 self.body, touchable, self.factor, path=path, basis_size=basis_size, report=report

@@ -1,26 +1,153 @@
 """An elastic body of particles on a grid: supports, removal, islands, and solves that start from the last state."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from tissue.fem.conjugate_gradients import IterativeSolution
-from tissue.fem.outcome import SolverOutcome
-from tissue.models.tooth.grid import HexGrid, shape_values
-from tissue.models.tooth.islands import supported_cells
+from meshes.base.arrays import Array
+from tissue.fem.conjugate_gradients import Iterate, IterativeSolution, SolverOutcome, conjugate_gradients, dot
+from tissue.models.tooth.grid import FULL_STEPS, HexGrid, ParticleSet, shape_values
 from tissue.models.tooth.multigrid import GridHierarchy
-from tissue.models.tooth.particles import FULL_STEPS, ParticleSet
 from tissue.models.tooth.recovery import ball_weight
-from tissue.models.tooth.solver import solve_cells
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.supports import NodeSupports, PointSprings
 
-__all__ = ["Change", "ParticleBody"]
+__all__ = ["Change", "ParticleBody", "solve_cells", "supported_cells"]
 
-Array = NDArray[np.float64]
+LEAST_CURVATURE = 1e-12
+"""Share of ``p . D p``, D the diagonal, below which ``p . K p`` is rounding: p is then a motion that nothing resists. A
+tooth of 1e5 nodes in a ligament a million times softer has 1e-8."""
+
+
+def solve_cells(
+    product: Callable[[Array], Array],
+    load_N: Array,
+    *,
+    diagonal: Array,
+    precondition: Callable[[Array], Array],
+    start_m: Array,
+    tolerance: float,
+    limit: int,
+) -> IterativeSolution:
+    """Solve ``K u = f``; stops where the error's energy norm is below ``tolerance`` times that of the solution.
+
+    The latter is ``sqrt(u . f)``. The former is taken as ``sqrt(r . B r)``, the preconditioner's estimate, or
+    ``sqrt(r . D^-1 r / 24)`` if that is more, with D the diagonal: a lower bound, since a cell's 24 eigenvalues of
+    ``D^-1 K`` are not negative and sum to 24. It sees a load on a motion that nothing resists and the preconditioner
+    leaves out.
+
+    Parameters
+    ----------
+    product
+        K times nodal displacements, shape (n, 3).
+    load_N
+        Nodal forces [N], shape (n, 3), zero where nodes are held.
+    diagonal
+        Diagonal of K [N/m], shape (n, 3).
+    precondition
+        B times nodal forces, close to K's inverse.
+    start_m
+        First guess [m], shape (n, 3).
+    tolerance
+        Relative error in the energy norm.
+    limit
+        Iterations allowed.
+    """
+    by_diagonal = np.divide(1.0 / 24.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
+
+    def error(now: Iterate) -> float:
+        energy = dot(now.found, load_N)
+        size = max(now.slopes[-1], dot(now.residual, now.residual * by_diagonal))
+        return float(np.sqrt(size / energy)) if energy > 0.0 else np.inf
+
+    return conjugate_gradients(
+        product, load_N, precondition=precondition, error=error, tolerance=tolerance, limit=limit, start=start_m,
+        least_curvature=lambda direction: LEAST_CURVATURE * dot(direction, diagonal * direction), correct_last=True,
+    )  # fmt: skip
+
+
+LEAST_RESTRAINT = 1e-9
+"""Share of the largest eigenvalue of a part's restraint below which it can move: rounding is 1e-16, a part held at
+three corners of a cell 1e-2."""
+ENOUGH = 200
+"""Springs spread over a part that are tried before all of them."""
+
+
+def supported_cells(
+    grid: HexGrid, filled: NDArray[np.bool_], supports: NodeSupports, springs: PointSprings,
+    springs_cell: NDArray[np.int32],
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Cells of ``filled``, shape (c,), that a support holds against all six rigid motions, given the springs' cells.
+
+    Cells that share a face move together. A part made of such cells is carried if its supports, and the nodes it shares
+    with parts that are carried, leave it no rigid motion. A part that meets the rest in one node or one edge only is
+    not carried: it would turn about it freely, and the stiffness would be singular.
+    """
+    at = tuple(grid.cell_place.T)
+    box = np.zeros(grid.cell_place.max(axis=0) + 1, dtype=np.bool_)
+    box[at] = filled
+    numbered, count = label(box)
+    part_of = numbered[at] - 1
+    held = supports.fixed.copy()
+    on_part = np.where(springs_cell >= 0, part_of[springs_cell], -1)
+    supported = np.zeros(count, dtype=np.bool_)
+    members = _members(grid, part_of, count)
+    waiting = list(range(count))
+    moved = True
+    while moved and waiting:
+        moved = False
+        for number in list(waiting):
+            if _restrained(grid, members[number], held, springs.chosen(on_part == number)):
+                supported[number] = moved = True
+                held[members[number]] = True
+                waiting.remove(number)
+    return filled & supported[part_of] if count else filled
+
+
+def _members(grid: HexGrid, part_of: NDArray[np.integer], count: int) -> list[NDArray[np.int64]]:
+    """Nodes of each part."""
+    cells = np.argsort(part_of, kind="stable")
+    starts = np.searchsorted(part_of[cells], np.arange(count + 1))
+    members = []
+    inside = np.zeros(grid.node_count, dtype=np.bool_)
+    for a, b in pairwise(starts):
+        inside[:] = False
+        inside[grid.cell_nodes[cells[a:b]]] = True
+        members.append(np.flatnonzero(inside))
+    return members
+
+
+def _restrained(grid: HexGrid, nodes: NDArray[np.integer], held: NDArray[np.bool_], springs: PointSprings) -> bool:
+    """Whether what holds these nodes, and springs at points between them, leave no rigid motion."""
+    some = nodes[held[nodes].any(axis=1)]
+    if len(some) + len(springs.position_m) == 0:
+        return False
+    if len(springs.position_m) > 2 * ENOUGH:  # what some of them restrain, all of them do
+        few = np.zeros(len(springs.position_m), dtype=np.bool_)
+        few[:: len(few) // ENOUGH] = True
+        if _restrained(grid, nodes[:0], held, springs.chosen(few)):
+            return True
+    place = grid.node_place[some].astype(np.float64)
+    sprung = (springs.position_m - grid.origin_m) / grid.edge_m
+    centre = np.concatenate([place, sprung]).mean(axis=0)
+    place -= centre
+    restraint = springs.restraint(grid.origin_m + grid.edge_m * centre, grid.edge_m)
+    restraint /= max(float(np.trace(restraint[:3, :3])), np.finfo(float).tiny)
+    for axis in range(3):
+        along = np.eye(3)[axis]
+        here = place[held[some, axis]]
+        rows = np.concatenate([np.tile(along, (len(here), 1)), np.cross(here, along)], axis=1)
+        restraint += rows.T @ rows
+    values = np.linalg.eigvalsh(restraint)
+    return bool(values[0] > LEAST_RESTRAINT * values[-1])
+
+
 INNER_STRENGTH = 0.1
 """Least that leaves no cell singular at an error next to that of no stabilisation (table of test_tooth_sphere.py)."""
 LEAST_FILL = 1e-3
@@ -84,7 +211,9 @@ class ParticleBody:
                 f"supports must be for the grid's {grid.node_count} nodes, got {len(supports.fixed)}: "
                 "use NodeSupports.of(grid.node_count, ...)"
             )
-        self.particles, self.grid, self.supports = particles, grid, supports
+        self.particles = particles
+        self.grid = grid
+        self.supports = supports
         self.springs = springs or PointSprings.none()
         self.cells = CellStiffness(
             particles, grid, inner_strength=inner_strength, springs=self.springs, device=device, cores=cores
@@ -122,7 +251,8 @@ class ParticleBody:
         return self._apply(touched)
 
     def _apply(self, touched: NDArray[np.int32]) -> Change:
-        before, was_debris = self.cells.live.copy(), self._is_debris
+        before = self.cells.live.copy()
+        was_debris = self._is_debris
         filled = self.cells.fill >= LEAST_FILL
         if (filled != self._filled).any():
             live = filled
@@ -163,7 +293,8 @@ class ParticleBody:
             The force at each [N], same shape.
         """
         live = np.flatnonzero(self.cells.live)
-        points, forces = np.atleast_2d(point_m), np.atleast_2d(force_N)
+        points = np.atleast_2d(point_m)
+        forces = np.atleast_2d(force_N)
         cell, _ = self.grid.locate(points)
         off = (cell < 0) | (self.cells.live[cell] == 0)
         if len(live) == 0:

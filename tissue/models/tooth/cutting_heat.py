@@ -13,8 +13,7 @@ from tissue.models.bone.bricks import voxels_of
 from tissue.models.bone.engagement import EngagedElements
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import ToolMotion
-from tissue.models.tooth.heat import Conduction
-from tissue.models.tooth.heat_grid import HeatGrid
+from tissue.models.tooth.heat import Conduction, HeatGrid
 
 __all__ = ["PULP_LIMIT_K", "CuttingHeat"]
 
@@ -81,14 +80,16 @@ class CuttingHeat:
         self._power = np.zeros(self.grid.filled.size)
         self._warmer_K = np.zeros(self.grid.filled.size)
         self._lost = np.zeros(self.grid.filled.size)
-        self._power_W, self._tip_m = 0.0, np.zeros(3)
+        self._power_W = 0.0
+        self._tip_m = np.zeros(3)
         self._earlier = self._later = self._engaged.nowhere
         self._steps = self._done = 0
 
     @property
     def pulp_rise_K(self) -> float:
         """Highest rise of what is left of the pulp, at its wall or inside [K]."""
-        rise, filled = self.field.rise_K.reshape(-1), self.field.filled.reshape(-1)
+        rise = self.field.rise_K.reshape(-1)
+        filled = self.field.filled.reshape(-1)
         inner, outer, weights = self._wall
         there = (filled[inner] > 0.0) & (filled[outer] > 0.0)
         wall = weights * rise[inner] + (1.0 - weights) * rise[outer]
@@ -127,7 +128,8 @@ class CuttingHeat:
         self._earlier, self._later = self._later, self._engaged.cutting(motion)
         self._tip_m = motion.tip_m.copy()
         self._deposit(*(self._earlier if len(self._earlier[0]) else self._later), self._tip_m)
-        self._steps, self._done = self.field.plan(duration_s), 0
+        self._steps = self.field.plan(duration_s)
+        self._done = 0
 
     def go_to(self, share: float) -> None:
         """Run the steps up to a share of the interval; what was cut leaves in its middle."""
@@ -163,7 +165,9 @@ class CuttingHeat:
         tip_m
             Tip of a bur that has left the tooth since the last cut: the heat goes into the cell next to it [m].
         """
-        power, warmer, filled = self._power, self._warmer_K, self.field.filled.reshape(-1)
+        power = self._power
+        warmer = self._warmer_K
+        filled = self.field.filled.reshape(-1)
         power[:] = 0.0
         warmer[:] = 0.0
         if self._power_W > 0.0 and len(points_m) == 0:

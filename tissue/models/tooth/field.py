@@ -1,4 +1,4 @@
-"""Stress and displacement of a tooth while it is drilled, at a rate of their own."""
+"""Stress and displacement of a tooth while it is drilled, in a solve that runs slower than the ticks."""
 
 from dataclasses import dataclass
 from time import perf_counter
@@ -6,22 +6,80 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.tooth.layers import caries_softness
 from meshes.voxels.volume import VoxelVolume
+from tissue.fem.conjugate_gradients import dot
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.materials.scene_constants import Materials
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.compliance import SupportCompliance, support_compliance
-from tissue.models.tooth.first_guess import FirstGuess
-from tissue.models.tooth.grid import HexGrid
+from tissue.models.tooth.grid import FULL_STEPS, HexGrid, ParticleSet
 from tissue.models.tooth.ligament import bed_springs, bed_stiffness
-from tissue.models.tooth.particles import FULL_STEPS, ParticleSet
-from tissue.models.tooth.recovery import REACH_M, StressRecovery
-from tissue.models.tooth.stress import stress_invariants
+from tissue.models.tooth.recovery import REACH_M, StressRecovery, stress_invariants
 from tissue.models.tooth.supports import NodeSupports, PointSprings
 
-__all__ = ["SolveRecord", "StressField"]
+__all__ = ["FirstGuess", "SolveRecord", "StressField"]
+
+NULL_CUT = 1e-6
+"""Scaled eigenvalues of the energies between solutions below this share of the largest are errors of the solves."""
+
+
+class FirstGuess:
+    """Combination of earlier solutions that is closest, in energy, to the one for a new load.
+
+    With solutions u_i for loads f_i it solves ``(u_i . f_j) c_j = u_i . f``: a force that grew, turned or moved
+    costs no iterations for the part that is known. The body may have changed since: the guess is a little worse then.
+
+    Parameters
+    ----------
+    kept
+        Solutions that are kept for good, shape (n, 3) each, and the load of each: the six of the support compliance.
+    recent
+        How many of the last solutions are kept besides: while a body is cut, two
+        leave 3 iterations and six leave 5, since the older ones are of a body that was fuller.
+    """
+
+    def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:
+        self._solutions = [moved.ravel() for moved, _ in kept]
+        self._loads = [load.ravel() for _, load in kept]
+        self._first = len(kept)
+        self._most = len(kept) + recent
+        self._energy = np.array([[dot(u, f) for f in self._loads] for u in self._solutions]).reshape(
+            len(kept), len(kept)
+        )
+
+    def add(self, displacement_m: Array, load_N: Array) -> None:
+        """Keep a solution and its load [m], [N], shape (n, 3), in place of the oldest."""
+        if not load_N.any():
+            return
+        if len(self._solutions) == self._most:
+            del self._solutions[self._first], self._loads[self._first]
+            self._energy = np.delete(np.delete(self._energy, self._first, axis=0), self._first, axis=1)
+        moved = displacement_m.ravel().copy()
+        load = load_N.ravel().copy()
+        self._solutions.append(moved)
+        self._loads.append(load)
+        column = np.array(
+            [0.5 * (dot(u, load) + dot(moved, f)) for u, f in zip(self._solutions, self._loads, strict=True)]
+        )
+        self._energy = np.block([[self._energy, column[:-1, None]], [column[None, :-1], column[-1:, None]]])
+
+    def __call__(self, load_N: Array) -> Array:
+        """Guess of the displacement [m] for a load [N], shapes (n, 3)."""
+        guess = np.zeros(load_N.size)
+        load = load_N.ravel()
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._energy), np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh(scale[:, None] * 0.5 * (self._energy + self._energy.T) * scale)
+        if values.size and values[-1] > 0.0:
+            modes = (scale[:, None] * vectors)[:, values > NULL_CUT * values[-1]]
+            work = np.array([dot(u, load) for u in self._solutions])
+            share = modes @ ((modes.T @ work) / values[values > NULL_CUT * values[-1]])
+            for moved, each in zip(self._solutions, share, strict=True):
+                guess += each * moved
+        return guess.reshape(load_N.shape)
+
 
 TOOTH = ("enamel", "dentin", "pulp", "caries")
 """Layers that the particles fill; the ligament is a bed of springs, the bone behind it does not move."""
@@ -89,7 +147,8 @@ class StressField:
         device: str = "cpu",
         cores: int | None = None,
     ) -> None:
-        self._volume, self._contact_m = tooth, contact_m
+        self._volume = tooth
+        self._contact_m = contact_m
         self.root_guessed = not ((tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth))).any()
         index = [tooth.layer_names.index(name) for name in TOOTH if name in tooth.layer_names]
         solid = (tooth.fraction > 0) & np.isin(tooth.layer, index)
@@ -202,8 +261,10 @@ class StressField:
 def _particles(tooth: VoxelVolume, places: NDArray[np.int64], constants: Materials) -> ParticleSet:
     """A particle a voxel, with the cited elastic constants of its layer; caries graded by its softness."""
     at = tuple(places.T)
-    layer, fraction = tooth.layer[at], tooth.fraction[at]
-    modulus, ratio = np.ones(len(places)), np.full(len(places), 0.3)
+    layer = tooth.layer[at]
+    fraction = tooth.fraction[at]
+    modulus = np.ones(len(places))
+    ratio = np.full(len(places), 0.3)
     for index, name in enumerate(tooth.layer_names):
         chosen = layer == index
         table = constants.constants("tooth", name if name in TOOTH else "dentin")
@@ -230,9 +291,11 @@ def _ligament_springs(
     """Springs where the tooth borders on ligament or bone; on its lower third where the data hold neither."""
     table = constants.constants("tooth", "ligament")
     across, along = bed_stiffness(1e9 * table["modulus_GPa"].value, table["poisson_ratio"].value, thickness_m)
-    bed, origin_m = (tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth)), tooth.origin_m
+    bed = (tooth.fraction > 0) & np.isin(tooth.layer, _bed_layers(tooth))
+    origin_m = tooth.origin_m
     if not bed.any():
-        solid, origin_m = np.pad(solid, _MARGIN), origin_m - _MARGIN * tooth.spacing_m
+        solid = np.pad(solid, _MARGIN)
+        origin_m = origin_m - _MARGIN * tooth.spacing_m
         depth = np.flatnonzero(solid.any(axis=(0, 1)))
         below = np.arange(solid.shape[2]) < depth[0] + (depth[-1] - depth[0]) // 3
         bed = ~solid & below[None, None, :]
@@ -251,7 +314,8 @@ def _ligament_springs(
 
 def _cell_layers(body: ParticleBody) -> NDArray[np.uint8]:
     """The layer with the greatest volume in each cell."""
-    cells, particles = body.cells, body.particles
+    cells = body.cells
+    particles = body.particles
     names = int(particles.layer.max()) + 1
     volume = np.zeros((body.grid.cell_count, names))
     np.add.at(volume, (cells.particle_cell, particles.layer[cells.order]), particles.volume_m3[cells.order])

@@ -1,5 +1,9 @@
-"""Heat conduction in a tooth whose material is removed while it warms."""
+"""Heat conduction in a tooth whose material is removed while it warms.
 
+The grid is rectilinear: fine where the bur can go, coarser away from there.
+"""
+
+from dataclasses import dataclass
 from math import ceil
 from typing import Any
 
@@ -10,14 +14,214 @@ from numpy.typing import NDArray
 from kernels.conduction import OPEN, conduct
 from kernels.launcher import SplitLaunch
 from meshes.base.arrays import Array
-from tissue.models.tooth.heat_grid import HeatGrid
+from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.materials.scene_constants import Materials
 
-__all__ = ["Conduction"]
+__all__ = ["Conduction", "HeatGrid"]
+
+GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
+"""Voxels that the cells outside the fine part are wide, from there outward; the last goes on."""
+LEAST_FILLED = 0.02
+"""Share of material below which a cell is left out or emptied: its heat capacity no longer matters."""
+
+SAME_FACE = 1e-6
+"""Places this close to each other are the same face of a voxel [voxel]: far from the origin they are rounded."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeatGrid:
+    """Cells of a tooth with their material.
+
+    Attributes
+    ----------
+    edges_m
+        Positions of the faces between the cells along x, y and z [m], shapes (nx + 1,), (ny + 1,), (nz + 1,).
+    filled
+        Fraction of each cell that holds material, shape (nx, ny, nz).
+    conductivity_W_mK
+        Thermal conductivity of the material in each cell [W/(m K)], same shape; positive where a cell holds any.
+    heat_capacity_J_m3K
+        Volumetric heat capacity of the material [J/(m3 K)], same shape; positive.
+    pulp
+        Whether most of a cell is pulp, same shape.
+    """
+
+    edges_m: tuple[Array, Array, Array]
+    filled: Array
+    conductivity_W_mK: Array
+    heat_capacity_J_m3K: Array
+    pulp: NDArray[np.bool_]
+
+    @classmethod
+    def of_tooth(cls, tooth: VoxelVolume, *, reach_m: tuple[Array, Array], constants: Materials) -> "HeatGrid":
+        """Merge the voxels of a whole tooth into cells.
+
+        Parameters
+        ----------
+        tooth
+            The whole tooth. Its voxels are the cells of the fine part.
+        reach_m
+            Lowest and highest corner of the box that is to be fine [m], shape (3,) each.
+        constants
+            Thermal constants of the layers.
+        """
+        conductivity = np.zeros(tooth.shape)
+        capacity = np.zeros(tooth.shape)
+        for index, name in enumerate(tooth.layer_names):
+            table = constants.constants("tooth", name)
+            here = tooth.layer == index
+            conductivity[here] = table["conductivity_W_mK"].value
+            capacity[here] = table["heat_capacity_J_kgK"].value * table["density_kg_m3"].value
+        fraction = tooth.fraction / float(FULL)
+        is_pulp = tooth.layer == _index(tooth.layer_names, "pulp")
+        low, high = ((corner - tooth.origin_m) / tooth.spacing_m for corner in reach_m)
+        starts = [_starts(n, a, b) for n, a, b in zip(tooth.shape, low, high, strict=True)]
+        voxels = _merged(np.ones(tooth.shape), starts)
+        held = _merged(fraction, starts)
+        some = np.maximum(held, 1e-12)
+        filled = held / voxels
+        filled[filled < LEAST_FILLED] = 0.0
+        edges = [
+            origin + tooth.spacing_m * np.append(start, n).astype(float)
+            for origin, start, n in zip(tooth.origin_m, starts, tooth.shape, strict=True)
+        ]
+        return cls(
+            (edges[0], edges[1], edges[2]),
+            filled,
+            _merged(fraction * conductivity, starts) / some,
+            np.where(held > 0.0, _merged(fraction * capacity, starts) / some, 1.0),
+            _merged(fraction * is_pulp, starts) > 0.5 * some,
+        )
+
+    @property
+    def widths_m(self) -> tuple[Array, Array, Array]:
+        """Widths of the cells along x, y and z [m]."""
+        x, y, z = (np.diff(edges) for edges in self.edges_m)
+        return x, y, z
+
+    @property
+    def volumes_m3(self) -> Array:
+        """Volumes of the cells [m3], shape (nx, ny, nz)."""
+        x, y, z = self.widths_m
+        return np.asarray(x[:, None, None] * y[:, None] * z)
+
+    def conductances_W_K(self) -> tuple[Array, ...]:
+        """Conductances from each full cell to the next one along x, y and z [W/K], each of the shape of the grid.
+
+        Half cells in series: area / (d / 2k + d' / 2k'). The last plane along each axis is 0.
+        """
+        found = []
+        conductivity = self.conductivity_W_mK
+        for axis, width in enumerate(self.widths_m):
+            d = width.reshape([-1 if at == axis else 1 for at in range(3)])
+            area = self.volumes_m3 / d
+            with np.errstate(divide="ignore"):
+                half = np.moveaxis(0.5 * d / (area * conductivity), axis, 0)  # [K/W], infinite without material
+            along = np.zeros_like(half)
+            along[:-1] = 1.0 / (half[:-1] + half[1:])
+            found.append(np.ascontiguousarray(np.moveaxis(along, 0, axis)))
+        return tuple(found)
+
+    def pulp_wall(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """Faces between the pulp and the material around it.
+
+        Returns
+        -------
+        Flat indices of the cells on the side of the pulp and on the other side, and the weight of the first cell in the
+        temperature of the face, where the flux from one half cell is that into the other.
+        """
+        inner = []
+        outer = []
+        weights = []
+        index = np.arange(self.filled.size).reshape(self.filled.shape)
+        is_held = self.filled > 0.0
+        for axis, width in enumerate(self.widths_m):
+            d = width.reshape([-1 if at == axis else 1 for at in range(3)])
+            half = np.moveaxis(self.conductivity_W_mK / d, axis, 0)
+            at = np.moveaxis(index, axis, 0)
+            held = np.moveaxis(is_held, axis, 0)
+            pulp = np.moveaxis(self.pulp, axis, 0)
+            both = held[1:] & held[:-1]
+            for one, other in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
+                face = both & pulp[one] & ~pulp[other]
+                inner.append(at[one][face])
+                outer.append(at[other][face])
+                weights.append(half[one][face] / (half[one][face] + half[other][face]))
+        return np.concatenate(inner), np.concatenate(outer), np.concatenate(weights)
+
+    def cells_at(self, points_m: Array) -> NDArray[np.intp]:
+        """Flat indices of the cells that hold points, shape (n, 3); the nearest cell for a point outside."""
+        at = [
+            np.clip(np.searchsorted(edges, points, side="right") - 1, 0, len(edges) - 2)
+            for edges, points in zip(self.edges_m, points_m.T, strict=True)
+        ]
+        return np.ravel_multi_index(at, self.filled.shape)
+
+    def share_out(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
+        """Share volumes in cubes out among the cells, by the overlap of each cube with each cell.
+
+        Parameters
+        ----------
+        corners_m
+            Corners of the cubes with the lowest coordinates [m], shape (n, 3).
+        size_m
+            Edge of a cube [m], at most that of a cell.
+        volumes_m3
+            Volume that is shared out from each cube [m3], shape (n,).
+
+        Returns
+        -------
+        Volume in each cell [m3], flat.
+        """
+        first = []
+        share = []
+        for edges, low in zip(self.edges_m, corners_m.T, strict=True):
+            at = np.clip(np.searchsorted(edges, low, side="right") - 1, 0, len(edges) - 2)
+            inside = np.clip((edges[at + 1] - low) / size_m, 0.0, 1.0)
+            inside[at == len(edges) - 2] = 1.0
+            first.append(at)
+            share.append((inside, 1.0 - inside))
+        found = np.zeros(self.filled.size)
+        for corner in range(8):
+            steps = (corner >> 2, (corner >> 1) & 1, corner & 1)
+            part = volumes_m3 * share[0][steps[0]] * share[1][steps[1]] * share[2][steps[2]]
+            there = part > 0.0
+            at = tuple((f + step)[there] for f, step in zip(first, steps, strict=True))
+            found += np.bincount(np.ravel_multi_index(at, self.filled.shape), part[there], minlength=len(found))
+        return found
+
+
+def _index(names: tuple[str, ...], name: str) -> int:
+    """Return the place of a layer, -1 where there is none."""
+    return names.index(name) if name in names else -1
+
+
+def _starts(count: int, low: float, high: float) -> NDArray[np.intp]:
+    """First voxel of each cell along an axis, for a fine part from ``low`` to ``high`` [voxel]."""
+    first = int(np.clip(np.floor(low + SAME_FACE), 0, count - 1))
+    last = int(np.clip(np.ceil(high - SAME_FACE), first + 1, count))
+    below = _outward(first)
+    above = _outward(count - last)
+    return np.concatenate([first - np.cumsum(below)[::-1], np.arange(first, last), last + np.cumsum(above) - above])
+
+
+def _outward(count: int) -> NDArray[np.intp]:
+    """Widths of the cells that fill a number of voxels, in the order in which they grow [voxel]."""
+    widths: list[int] = []
+    while (left := count - sum(widths)) > 0:
+        widths.append(min(GROWTH[min(len(widths), len(GROWTH) - 1)], left))
+    return np.array(widths, dtype=np.intp)
+
+
+def _merged(values: Array, starts: list[NDArray[np.intp]]) -> Array:
+    """Sums of voxels over cells."""
+    for axis, start in enumerate(starts):
+        values = np.add.reduceat(values, start, axis=axis)
+    return values
+
 
 SAFETY = 0.9
 """Share of the longest stable step that is used."""
-LEAST_FILLED = 0.02
-"""A cell that is left with less material is emptied: its heat capacity no longer matters."""
 
 
 class Conduction:
@@ -40,7 +244,8 @@ class Conduction:
 
     def __init__(self, grid: HeatGrid, *, device: str = "cpu") -> None:
         shape = grid.filled.shape
-        self.grid, self._device = grid, device
+        self.grid = grid
+        self._device = device
         self.filled = grid.filled.copy()
         self.removed_J = 0.0
         self._capacity_J_K = grid.heat_capacity_J_m3K * grid.volumes_m3
@@ -50,8 +255,10 @@ class Conduction:
         def on_device(values: Array) -> Any:
             return wp.array(values.astype(np.float32), dtype=wp.float32, device=device)
 
-        self._along, self._capacity = [on_device(each) for each in along], on_device(self._capacity_J_K)
-        self._filled, self._power = on_device(self.filled), on_device(np.zeros(shape))
+        self._along = [on_device(each) for each in along]
+        self._capacity = on_device(self._capacity_J_K)
+        self._filled = on_device(self.filled)
+        self._power = on_device(np.zeros(shape))
         self._temperature = [on_device(np.zeros(shape)) for _ in range(2)]
         self._launches: list[SplitLaunch] = []
         self._step_s = 0.0
@@ -111,8 +318,10 @@ class Conduction:
             the cell holds.
         """
         rise = self.rise_K.reshape(-1)
-        filled, capacity = self.filled.reshape(-1), self._capacity_J_K.reshape(-1)[cells]
-        before, warm = filled[cells], rise[cells].astype(np.float64)
+        filled = self.filled.reshape(-1)
+        capacity = self._capacity_J_K.reshape(-1)[cells]
+        before = filled[cells]
+        warm = rise[cells].astype(np.float64)
         left = np.maximum(before - lost, 0.0)
         left[left < LEAST_FILLED] = 0.0
         held_J = before * capacity * warm

@@ -52,7 +52,8 @@ def bed_springs(
     """
     smooth = gaussian_filter(tooth.astype(np.float32), 1.5)
     slope = np.stack(np.gradient(smooth), axis=-1)
-    positions, matrices = [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
+    positions = [np.zeros((0, 3))]
+    matrices = [np.zeros((0, 3, 3))]
     total = 0.0
     for axis in range(3):
         low = tuple(slice(None, -1) if a == axis else slice(None) for a in range(3))

@@ -62,7 +62,9 @@ class ToothModel:
         heat: CuttingHeat | None = None,
         device: str = "cpu",
     ) -> None:
-        self.milling, self.stress, self.heat = milling, stress, heat
+        self.milling = milling
+        self.stress = stress
+        self.heat = heat
         self.layer_names = milling.layer_names
         volume = milling.store.volume
         assert volume is not None, "the distance to the pulp is taken in the whole region"
@@ -76,10 +78,15 @@ class ToothModel:
             self.measure_names += CENTROID_COLUMNS + BUR_COLUMNS
         if heat is not None:
             self.measure_names += ("pulp_rise_K",)
-        self._energy_J, self._pulp_rise_K, self._heat_ticks = 0.0, 0.0, 0
+        self._energy_J = 0.0
+        self._pulp_rise_K = 0.0
+        self._heat_ticks = 0
         self._motion: ToolMotion | None = None
         self._touched = np.zeros(len(milling.store.places), dtype=np.bool_)
-        self._interval_s, self._next_s, self._late_reported, self._stress_lost = interval_s, 0.0, False, False
+        self._interval_s = interval_s
+        self._next_s = 0.0
+        self._late_reported = False
+        self._stress_lost = False
         self.notices = milling.notices
         if stress is not None and stress.root_guessed:
             self.notices.append("neither ligament nor bone is given: the tooth's lower third is held as its root")
@@ -193,7 +200,8 @@ class ToothModel:
         """Add the energy of the tick, go on with the present interval of the heat, and begin the next one when due."""
         assert self.heat is not None and self._response is not None
         self._motion = motion
-        force, torque = self._response.wrench[:3], self._response.wrench[3:]
+        force = self._response.wrench[:3]
+        torque = self._response.wrench[3:]
         spun = abs(float(torque.dot(motion.rotation[:, 2])) * self.milling.cutter.spin_rad_s)
         moved, turned = motion.heading
         fed = -motion.speed_m_s * float(force.dot(moved) + torque.dot(turned))
@@ -208,9 +216,11 @@ class ToothModel:
         """Complete an interval of the heat, take its result, and begin the next one."""
         assert self.heat is not None
         self.heat.finish()
-        before, self._pulp_rise_K = self._pulp_rise_K, self.heat.pulp_rise_K
+        before = self._pulp_rise_K
+        self._pulp_rise_K = self.heat.pulp_rise_K
         self.heat.begin(self._energy_J, self._heat_ticks * TICK_S, motion, self._take_touched())
-        self._energy_J, self._heat_ticks = 0.0, 0
+        self._energy_J = 0.0
+        self._heat_ticks = 0
         if before < PULP_LIMIT_K <= self._pulp_rise_K:
             self.notices.append(f"the pulp is {PULP_LIMIT_K:g} K warmer than at the start")
 
@@ -271,7 +281,8 @@ class ToothModel:
 
     def _report_pulp(self, near_m: float) -> None:
         """Keep the least distance and report when a limit or the pulp itself is passed."""
-        before, self._least_m = self._least_m, min(self._least_m, near_m)
+        before = self._least_m
+        self._least_m = min(self._least_m, near_m)
         for limit in WARN_M:
             if self._least_m < limit <= before:
                 self.notices.append(f"less than {1e3 * limit:g} mm of dentin is left over the pulp")
@@ -281,7 +292,8 @@ class ToothModel:
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, float, float]:
     """Return the cross product of two vectors, of each the first three entries; faster than NumPy's."""
-    (ax, ay, az), (bx, by, bz) = a.tolist()[:3], b.tolist()[:3]
+    (ax, ay, az) = a.tolist()[:3]
+    (bx, by, bz) = b.tolist()[:3]
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 

@@ -8,12 +8,61 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from kernels.particle_stress import invariants, point_stress
 from meshes.base.arrays import Array
-from tissue.models.tooth.particles import ParticleSet
+from tissue.models.tooth.grid import ParticleSet
 from tissue.models.tooth.stiffness import CellStiffness
-from tissue.models.tooth.stress import StressPoints
 
-__all__ = ["REACH_M", "StressRecovery", "ball_weight"]
+__all__ = ["REACH_M", "StressPoints", "StressRecovery", "ball_weight", "particle_stress", "stress_invariants"]
+
+
+class StressPoints:
+    """Points of a material at which the stress can be had again and again.
+
+    Parameters
+    ----------
+    cells
+        The cells of the body.
+    row
+        Rows of the next three arrays, shape (n,).
+    cell, place, lame_Pa
+        Warp arrays: cell of each row, place in it, 0 to 1 along each edge, and Lame constants [Pa], shape (rows, 2).
+    """
+
+    def __init__(self, cells: CellStiffness, row: NDArray[np.integer], cell: Any, place: Any, lame_Pa: Any) -> None:
+        self._cells = cells
+        self._count = len(row)
+        on: Any = wp.array(row.astype(np.int32), dtype=wp.int32, device=cells.device)
+        self._inputs = [on, cell, place, lame_Pa, cells.cell_nodes_on, cells.displacement, cells.grid.edge_m, 0]
+        self._stress = wp.empty((self._count, 6), dtype=wp.float64, device=cells.device)
+
+    def __call__(self, displacement_m: Array) -> Array:
+        """Stress xx, yy, zz, yz, xz, xy [Pa], shape (n, 6), at nodal displacements [m]; the next call overwrites it."""
+        self._cells.displacement.assign(displacement_m)
+        self._cells.run(point_stress, self._count, self._inputs, [self._stress])
+        return np.asarray(self._stress.numpy())
+
+
+def particle_stress(
+    cells: CellStiffness, displacement_m: Array, *, particles: NDArray[np.integer] | None = None
+) -> Array:
+    """Stress in the material of particles, by the caller's index, default all; as of `StressPoints`.
+
+    Where a cell holds two materials its strain is shared by both, which is first order in the cell's edge.
+    """
+    rows = cells.rank if particles is None else cells.rank[particles]
+    return StressPoints(cells, rows, cells.particle_cell_on, cells.place, cells.lame)(displacement_m)
+
+
+def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, Array]:
+    """Von Mises stress, shape (n,), and principal stresses, largest first, shape (n, 3), of stresses, shape (n, 6)."""
+    count = len(stress_Pa)
+    given: Any = wp.array(np.ascontiguousarray(stress_Pa), dtype=wp.float64, device=device)
+    von_mises = wp.empty(count, dtype=wp.float64, device=device)
+    principal = wp.empty(count, dtype=wp.vec3d, device=device)
+    wp.launch(invariants, dim=count, inputs=[given, 0], outputs=[von_mises, principal], device=device)
+    return von_mises.numpy(), principal.numpy()
+
 
 REACH_M = 0.6e-3
 """Radius of the ball over which stress is averaged [m]: about that of a bur, whose force is spread over as much. Beside
@@ -48,7 +97,8 @@ class StressRecovery:
         self, particles: ParticleSet, cells: CellStiffness, place_m: Array, layer: NDArray[np.integer], *,
         reach_m: float = REACH_M,
     ) -> None:  # fmt: skip
-        self._cells, self._volume = cells, particles.volume_m3[cells.order]
+        self._cells = cells
+        self._volume = particles.volume_m3[cells.order]
         sorted_layer = particles.layer[cells.order]
         if CELLS_A_REACH * cells.grid.edge_m > reach_m:
             self._group = np.arange(len(sorted_layer))
@@ -63,15 +113,20 @@ class StressRecovery:
         def on(values: NDArray[Any], dtype: Any) -> Any:
             return wp.array(np.ascontiguousarray(values), dtype=dtype, device=cells.device)
 
-        at, first = mean(particles.position_m[cells.order]), np.unique(self._group, return_index=True)[1]
-        self._cell, own_layer = cells.particle_cell[first], sorted_layer[first]
+        at = mean(particles.position_m[cells.order])
+        first = np.unique(self._group, return_index=True)[1]
+        self._cell = cells.particle_cell[first]
+        own_layer = sorted_layer[first]
         self._points = StressPoints(
             cells, np.arange(len(at)), on(self._cell, wp.int32), on(mean(cells.place.numpy()), wp.vec3d),
             on(mean(cells.lame.numpy()), wp.float64),
         )  # fmt: skip
-        rows, columns, weights = [], [], []
+        rows = []
+        columns = []
+        weights = []
         for each in np.unique(layer):
-            here, mine = np.flatnonzero(layer == each), np.flatnonzero(own_layer == each)
+            here = np.flatnonzero(layer == each)
+            mine = np.flatnonzero(own_layer == each)
             near = cKDTree(place_m[here]).sparse_distance_matrix(cKDTree(at[mine]), reach_m, output_type="ndarray")
             rows.append(here[near["i"]])
             columns.append(mine[near["j"]])

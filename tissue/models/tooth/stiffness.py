@@ -8,10 +8,8 @@ from numpy.typing import NDArray
 
 from kernels.hexahedra import BLOCKS
 from kernels.particle_stiffness import particle_stiffness
-from tissue.models.tooth.grid import CORNERS, HexGrid
-from tissue.models.tooth.packed_product import PackedProduct
-from tissue.models.tooth.particles import ParticleSet
-from tissue.models.tooth.strips import CellStrips
+from tissue.models.tooth.grid import CORNERS, HexGrid, ParticleSet
+from tissue.models.tooth.strips import CellStrips, PackedProduct
 from tissue.models.tooth.supports import PointSprings
 
 __all__ = ["CellStiffness", "full_cell_stiffness"]
@@ -53,7 +51,9 @@ class CellStiffness:
         self, particles: ParticleSet, grid: HexGrid, *, inner_strength: float, springs: PointSprings | None = None,
         device: str = "cpu", cores: int | None = None,
     ) -> None:  # fmt: skip
-        self.grid, self.device, self.cores = grid, device, cores
+        self.grid = grid
+        self.device = device
+        self.cores = cores
         cell, place = grid.locate(particles.position_m)
         if (cell < 0).any():
             lost = particles.position_m[int(np.argmin(cell))]

@@ -25,7 +25,8 @@ from tissue.system.helper import Helper
 
 __all__ = ["Drilled", "InlineStressSolver", "StressProcess", "StressSolver"]
 
-ASSEMBLY_S, SOLVE_S = 3600.0, 600.0
+ASSEMBLY_S = 3600.0
+SOLVE_S = 600.0
 """How long the other process may work before its first answer, and on one solve [s]."""
 
 
@@ -107,10 +108,13 @@ class InlineStressSolver:
 
     def _start(self, whole: VoxelVolume, bricks: dict[str, Any], options: dict[str, Any]) -> None:
         self.field = StressField(whole, **options)
-        self.compliance, self.reference_m = self.field.compliance, self.field.reference_m
+        self.compliance = self.field.compliance
+        self.reference_m = self.field.reference_m
         self.root_guessed = self.field.root_guessed
-        self.series, self.records = self.field.series, self.field.records
-        self._places, self._before = bricks["places"], bricks["remaining"]
+        self.series = self.field.series
+        self.records = self.field.records
+        self._places = bricks["places"]
+        self._before = bricks["remaining"]
         self._grid = {"origin_m": bricks["origin_m"], "spacing_m": bricks["spacing_m"]}
         self._begun: Drilled | None = None
 
@@ -132,7 +136,8 @@ class InlineStressSolver:
 
     def wait(self) -> SolveRecord | None:
         """Bring the particles to what is left in the bricks, and solve."""
-        state, self._begun = self._begun, None
+        state = self._begun
+        self._begun = None
         if state is None:
             return None
         lost = self._before[state.rows].astype(np.int64) - state.left

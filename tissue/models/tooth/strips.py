@@ -1,4 +1,4 @@
-"""A grid's cells in strips of eight along z, and the product of their stiffness with a vector."""
+"""Products of the stiffness of a grid's cells with a vector: in strips of eight cells along z, or packed."""
 
 from typing import Any
 
@@ -7,11 +7,60 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.cell_strips import LANES, WEIGHTS, lanes_of, strip_products
+from kernels.hexahedra import cell_products, gather_cells
 from kernels.lane_vectors import cube_weights, from_lanes, to_lanes
 from kernels.launcher import SplitLaunch
 from tissue.models.tooth.grid import HexGrid
 
-__all__ = ["CellStrips", "LaneVector", "StripLayout", "StripProduct"]
+__all__ = ["CellStrips", "LaneVector", "PackedProduct", "StripLayout", "StripProduct"]
+
+
+class PackedProduct:
+    """Recorded product of some cells with nodal displacements, added to nodal forces.
+
+    Parameters
+    ----------
+    grid
+        The grid.
+    cells, rows
+        Cells of the product, shape (k,), and their rows in ``stiffness``.
+    stiffness
+        Warp array of packed stiffness [N/m], as in :mod:`kernels.hexahedra`; read at every call.
+    live
+        Warp array, 0 where a cell carries nothing, shape (c,).
+    vector, force
+        Warp arrays of vec3d: displacement of the nodes [m], and what the product is added to [N], shape (n,).
+    cores
+        Processor cores to split launches over.
+    """
+
+    def __init__(
+        self, grid: HexGrid, cells: NDArray[np.integer], rows: NDArray[np.integer], stiffness: Any, *, live: Any,
+        vector: Any, force: Any, cores: int | None,
+    ) -> None:  # fmt: skip
+        device = str(vector.device)
+
+        def on(array: NDArray[Any]) -> Any:
+            return wp.array(array.astype(np.int32), dtype=wp.int32, device=device)
+
+        place = np.full(grid.cell_count + 1, -1)
+        place[cells] = np.arange(len(cells))
+        nodes = np.unique(grid.cell_nodes[cells])
+        corner_force = wp.zeros((len(cells), 8), dtype=wp.vec3d, device=device)
+        self._cells = SplitLaunch(
+            cell_products, dim=len(cells), offset_index=6, device=device, cores=cores,
+            inputs=[on(cells), on(rows), on(grid.cell_nodes), live, stiffness, vector, 0], outputs=[corner_force],
+        )  # fmt: skip
+        self._nodes = SplitLaunch(
+            gather_cells, dim=len(nodes), offset_index=3, device=device, cores=cores,
+            inputs=[on(nodes), on(place[grid.node_cells[nodes]]), corner_force, 0], outputs=[force],
+        )  # fmt: skip
+
+    def __call__(self) -> None:
+        """Add the product."""
+        self._cells()
+        self._nodes()
+
 
 AT_CUBE = 1e-6
 """Distance from a cube's centre, in edges, within which a particle's place is rounding."""
@@ -71,7 +120,9 @@ class LaneVector:
     """
 
     def __init__(self, layout: StripLayout, scalar: Any, *, device: str) -> None:
-        self.scalar, self.slots, count = scalar, layout.slots, layout.slots - LANES + 1
+        self.scalar = scalar
+        self.slots = layout.slots
+        count = layout.slots - LANES + 1
         self.single = wp.zeros((3, layout.slots), dtype=scalar, device=device)
         self.from_each, self.by_eight = self._seen(1, count), self._seen(LANES, layout.slots // LANES)
 
@@ -144,7 +195,8 @@ class CellStrips:
         self, grid: HexGrid, place: NDArray[np.float64], particle_cell: NDArray[np.int32], *, device: str,
         cores: int | None,
     ) -> None:  # fmt: skip
-        self.layout, self.device = StripLayout(grid), device
+        self.layout = StripLayout(grid)
+        self.device = device
         off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
         self.regular = np.ones(grid.cell_count, dtype=np.bool_)
         self.regular[particle_cell[off]] = False
@@ -167,7 +219,8 @@ class CellStrips:
     def product(self, vector: Any, force_out: Any) -> None:
         """Product of the double precision weights with a vector of nodes, Warp arrays of vec3d, shape (n,)."""
         count = len(vector)
-        into, out = [self.slot_on, vector, 0], [self.slot_on, self._force.single, 0]
+        into = [self.slot_on, vector, 0]
+        out = [self.slot_on, self._force.single, 0]
         wp.launch(to_lanes, dim=count, inputs=into, outputs=[self._vector.single], device=self.device)
         self._force.single.zero_()
         self._product()

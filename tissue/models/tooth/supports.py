@@ -102,7 +102,8 @@ class PointSprings:
             lost = self.position_m[int(np.argmin(cell))]
             raise ValueError(f"springs must act on the grid's cells, got one at {lost} m outside: leave it out")
         order = np.argsort(cell, kind="stable")
-        share, stiffness = shape_values(place[order]), self.stiffness_N_m[order]
+        share = shape_values(place[order])
+        stiffness = self.stiffness_N_m[order]
         cells, first = np.unique(cell[order], return_index=True)
         pairs = [(a, b) for a in range(8) for b in range(a, 8)]
         blocks = np.zeros((len(cells), len(pairs), 3, 3))

@@ -8,13 +8,10 @@ from scipy.spatial import cKDTree
 
 from meshes.tets.structured import box
 from tissue.fem.assembly import assemble
-from tissue.fem.outcome import SolverOutcome
-from tissue.fem.solvers.direct import DirectSolver, factorised
-from tissue.fem.solvers.dissection import dissected
-from tissue.fem.solvers.fronts import fronts_of
+from tissue.fem.conjugate_gradients import SolverOutcome
+from tissue.fem.solvers.direct import DirectSolver, SuperLUFactor, dissected, factorised
 from tissue.fem.solvers.held_body import HeldBody, held_nodes
-from tissue.fem.solvers.multifrontal import Multifrontal, NotPositiveDefiniteError
-from tissue.fem.solvers.superlu import SuperLUFactor
+from tissue.fem.solvers.multifrontal import Multifrontal, NotPositiveDefiniteError, fronts_of
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
@@ -95,7 +92,8 @@ def test_many_right_sides_are_each_alone():
     matrix, starts = random_mesh(7)
     factor = Multifrontal(matrix, starts)
     right = np.random.default_rng(3).normal(size=(matrix.shape[0], 37))
-    right[:, 5], right[:-1, 6] = 0.0, 0.0
+    right[:, 5] = 0.0
+    right[:-1, 6] = 0.0
     kept = right.copy()
     found = factor.solve(right)
     np.testing.assert_array_equal(right, kept)
@@ -130,7 +128,8 @@ def test_one_dense_block():
 def test_the_inverse_of_what_is_eliminated_last():
     """Of the block and of a part of it."""
     matrix, starts = random_mesh(5)
-    factor, count = Multifrontal(matrix, starts), int(starts[-1] - starts[-2])
+    factor = Multifrontal(matrix, starts)
+    count = int(starts[-1] - starts[-2])
     inverse = np.linalg.inv(matrix.toarray())
     for last in (count, 1):
         found = factor.inverse_of_last(last)
@@ -142,7 +141,8 @@ def test_fronts_hold_the_whole_factor():
     """Every entry of a dense factor lies in a front, and changes reach the parent's rows."""
     matrix, starts = random_mesh(6)
     lower = csc_array(np.tril(matrix.toarray()))
-    fronts, dense = fronts_of(lower, starts), np.linalg.cholesky(matrix.toarray())
+    fronts = fronts_of(lower, starts)
+    dense = np.linalg.cholesky(matrix.toarray())
     for front in fronts:
         outside = np.ones(len(dense), dtype=bool)
         outside[front.start : front.stop] = outside[front.below] = outside[: front.start] = False

@@ -1,10 +1,25 @@
-"""Loads between the times of the poses, and their derivative by the offset."""
+"""Averages of logs over blocks: of logs slower than a block as well."""
 
 import numpy as np
+import pytest
 
-from tissue.fitting.shift import shift_operators
+from tissue.fitting.measured import block_averages, block_ticks, shift_operators
 
-TIMES = np.linspace(0.0, 1.0, 101)
+
+@pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 5), (200.0, 5), (150.0, 7), (100.0, 10), (30.0, 34)])
+def test_no_block_of_a_slow_log_is_empty(rate_Hz, ticks):
+    times = 3.0 + np.arange(round(4.0 * rate_Hz)) / rate_Hz
+    assert block_ticks(float(times[-1] - times[0]), 1.0 / rate_Hz) == ticks
+    log = block_averages(times, 2.0 * times[:, None], ("force_x_N",), ticks)
+    assert np.isfinite(log.values[:-1]).all()
+    assert log.values[:-1, 0] == pytest.approx(2.0 * log.times_s[:-1], abs=2.0 / rate_Hz)
+
+
+def test_a_long_log_has_two_thousand_samples():
+    times = np.arange(0.0, 60.0, 1e-3)
+    log = block_averages(times, times[:, None], ("force_x_N",), block_ticks(60.0, 1e-3))
+    assert len(log.times_s) == 2000
+    assert log.values[:, 0] == pytest.approx(log.times_s)
 
 
 def test_a_curve_is_met_between_its_samples_to_third_order():
@@ -31,9 +46,3 @@ def test_a_line_is_exact_on_uneven_times_and_constant_outside():
     line = 2.0 * times + 1.0
     np.testing.assert_allclose(values @ line, 2.0 * np.clip(wanted, times[0], times[-1]) + 1.0, rtol=1e-12)
     np.testing.assert_allclose(rates @ line, [0.0, -2.0, -2.0, -2.0, -2.0, 0.0], atol=1e-9)
-
-
-def test_at_the_times_themselves_nothing_is_interpolated():
-    curve = np.random.default_rng(3).normal(size=len(TIMES))
-    values, _ = shift_operators(TIMES, TIMES, 0.0)
-    np.testing.assert_allclose(values @ curve, curve, rtol=1e-12)
