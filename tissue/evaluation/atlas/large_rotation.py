@@ -22,6 +22,7 @@ from tissue.evaluation.atlas.page import (
     refused,
     shown,
 )
+from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.fem.hyperelastic import Law, NonlinearBody
 from tissue.fem.newton import NewtonSolver
 from tissue.fem.space import Space
