@@ -104,7 +104,7 @@ def run(
         Run a device whose coupling is unstable, too.
     """
     from meshes.base.file_limits import memory_limit
-    from tissue.simulation.picture_format import picture_format
+    from tissue.simulation.run_files import picture_format
     from tissue.simulation.run_folder import RunFolder
     from tissue.simulation.trace_files import check_format
 

@@ -7,18 +7,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.errors import InputError
+from meshes.base.placement import Placement
 from meshes.base.whole_file import whole_file
 from meshes.voxels.volume import VoxelVolume
 from tissue.simulation.bone_surface import bone_surface, with_depth, with_layers
 from tissue.simulation.depth_map import CarvedRun, depth_map
-from tissue.simulation.vtk_files import image_in_file, mesh_in_file, write_vtk, write_vtk_xml
+from tissue.simulation.vtk_files import image_in_file, image_in_scene, mesh_in_file, write_vtk, write_vtk_xml
 
 if TYPE_CHECKING:
     import pyvista
 
     from tissue.simulation.run import Run
 
-__all__ = ["carved_surface", "voxel_image", "write_bone"]
+__all__ = ["carved_surface", "read_voxels", "voxel_image", "write_bone"]
 
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
 """Units of a file by their length [mm], as NRRD names them."""
@@ -46,6 +48,30 @@ def voxel_image(volume: VoxelVolume, remaining: NDArray[np.uint8]) -> "pyvista.I
     image.field_data["layer_names"] = list(volume.layer_names)
     image.set_active_scalars("remaining", preference="cell")
     return image
+
+
+def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, NDArray[np.uint8]]:
+    """Read the voxels of a run's ``bone.vti`` in the scene's frame: before the first cut, and the bone left at the end.
+
+    Raises
+    ------
+    InputError
+        If the file is not one that a run wrote.
+    """
+    import pyvista
+
+    try:
+        image = image_in_scene(pyvista.read(file), placement)
+        shape = tuple(np.array(image.dimensions) - 1)
+        start, left, layer, density = (
+            np.ascontiguousarray(image.cell_data[name].reshape(shape, order="F"))
+            for name in ("start", "remaining", "layer", "density_kg_m3")
+        )
+        names = tuple(str(name) for name in image.field_data["layer_names"])
+    except (KeyError, ValueError, AttributeError, OSError):
+        raise InputError(f"bone.vti must be a file that a run wrote, got {file}: run the scene again") from None
+    origin_m, spacing_m = 1e-3 * np.array(image.origin), 1e-3 * float(image.spacing[0])
+    return VoxelVolume(origin_m, spacing_m, start, layer, density, names, placement), left
 
 
 def carved_surface(run: CarvedRun) -> "pyvista.PolyData":

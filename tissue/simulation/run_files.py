@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
+from meshes.base.errors import InputError
 from tissue.scene.registry import ANATOMIES
-from tissue.simulation.picture_format import PICTURE_FORMATS
 from tissue.simulation.trace_files import FORMATS
 
-__all__ = ["named_as_run_files", "run_file_names"]
+__all__ = ["PICTURE_FORMATS", "named_as_run_files", "picture_format", "run_file_names"]
 
+PICTURE_FORMATS = ("png", "svg", "pdf")
 FILES = (
     "trace.csv",
     *(f"trace.{kind}" for kind in FORMATS),
@@ -57,3 +58,18 @@ def named_as_run_files(path: Path) -> set[str]:
     """Return the names of plain files in a folder that are names of a run's files."""
     found = {each.relative_to(path).as_posix() for name in run_file_names() for each in path.glob(name)}
     return {name for name in found if (path / name).is_file() and not (path / name).is_symlink()}
+
+
+def picture_format(pictures: bool | str) -> str | None:
+    """Return the format of the pictures: PNG for True, None for False.
+
+    Raises
+    ------
+    InputError
+        If it is none of `PICTURE_FORMATS`.
+    """
+    if isinstance(pictures, bool):
+        return PICTURE_FORMATS[0] if pictures else None
+    if pictures not in PICTURE_FORMATS:
+        raise InputError(f"pictures must be one of {', '.join(PICTURE_FORMATS)}, got {pictures}: choose one of these")
+    return pictures

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -23,7 +24,7 @@ from tissue.system.outputs import identity, is_alive
 from tissue.system.owned_folder import OwnedFolder, listed_files, require_folder
 from tissue.system.stopping import Terminated
 
-__all__ = ["FORMAT", "RunFolder", "SavedRun", "added_to_run", "copied_run", "files_of_run", "saved_placement"]
+__all__ = ["FORMAT", "RunFolder", "SavedRun", "added_to_run", "copy_run", "files_of_run", "saved_placement"]
 
 KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
 """Begin of the scene that a run keeps."""
@@ -215,11 +216,26 @@ def added_to_run(path: Path) -> Iterator[None]:
         yield
 
 
-@contextmanager
-def copied_run(path: Path, *, overwrite: bool) -> Iterator[None]:
-    """Hold a folder while the block copies the files of another run into it."""
-    with _held(OwnedFolder(path, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(path))):
-        yield
+def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> None:
+    """Copy the files of a run that has ended into another folder; into its own folder nothing is copied.
+
+    Raises
+    ------
+    InputError
+        If the run goes on, or the folder holds another run.
+    """
+    if out.exists() and out.samefile(saved.path):
+        return
+    if saved.status == "running":
+        raise InputError(f"run must have ended to be copied, got {saved.path}, which goes on: wait for it")
+    names = files_of_run(saved.path)
+    with _held(OwnedFolder(out, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(out))):
+        for name in names:
+            if not pictures and name.startswith("pictures/"):
+                continue
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(out / name) as temporary:
+                shutil.copyfile(saved.path / name, temporary)
 
 
 @contextmanager

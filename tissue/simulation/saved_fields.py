@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
-from tissue.simulation.run_folder import saved_placement
+from meshes.base.isolated_parser import parse_isolated
+from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.vtk_files import mesh_in_scene
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of"]
+__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of", "require_whole"]
 
 PEAK = 99.8
 """Percentile of a cell field that ends its scale: single cells at the tool lie above it."""
@@ -76,6 +77,28 @@ def frames_of(folder: Path) -> list[tuple[float, str]]:
     except (ElementTree.ParseError, KeyError, ValueError, LookupError):
         raise InputError(f"fields.pvd must be a ParaView collection, got {index}: run the scene again") from None
     return frames
+
+
+def require_whole(saved: SavedRun) -> None:
+    """Check that the bone and the frames of a run are not damaged, because VTK could end this process on such files.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged or lacks what it should hold; the message names it.
+    """
+    wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
+    if (saved.path / "fields.pvd").is_file():
+        wanted |= {name: [] for _, name in frames_of(saved.path)}
+    there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
+    if there:
+        parse_isolated(
+            "meshes.surfaces.vtk_reading:check_vtk",
+            saved.path,
+            what="folder of a run",
+            remedy="run the scene again",
+            arrays_by_file=there,
+        )
 
 
 class SavedFields:

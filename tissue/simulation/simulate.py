@@ -234,8 +234,10 @@ def _loop(
         broke = break_throughs(parts.volume, trace, radius_m=parts.cutter.profile.radius_m)
     through = [(each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke]
     events = sorted(loop.events + motion.happened() + through, key=lambda event: event[0])
-    run = Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=loop.poses)
-    run.scheduling, run.break_throughs = scheduling, broke
+    run = Run(scene, parts, trace, timing, events=events, poses=loop.poses, compute=compute)
+    run.begun = folder
+    run.scheduling = scheduling
+    run.break_throughs = broke
     return run
 
 

@@ -3,26 +3,24 @@
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.base.placement import Placement
 from meshes.voxels.volume import VoxelVolume
 from tissue.motion.pose_file import poses_of_trace, read_poses
 from tissue.scene.named_parts import loaded
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
+from tissue.simulation.bone_files import read_voxels
 from tissue.simulation.bone_surface import smooth_normals
 from tissue.simulation.carved_surface import Box, CarvedSurface, changed_box
 from tissue.simulation.depth_map import facing, tool_axes
 from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.trace import Table
-from tissue.simulation.vtk_files import image_in_scene
 
 if TYPE_CHECKING:
     import pyvista
@@ -172,31 +170,6 @@ def _coarse(scene: Scene) -> VoxelVolume | None:
             scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
         )
     return None
-
-
-def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, NDArray[np.uint8]]:
-    """Voxels of a run's ``bone.vti`` in the scene's frame, before the first cut, and what is left in them at the end.
-
-    Raises
-    ------
-    InputError
-        If the file is not one that a run wrote.
-    """
-    import pyvista
-
-    try:
-        image = image_in_scene(pyvista.read(file), placement)
-        shape = tuple(np.array(image.dimensions) - 1)
-        start, left, layer, density = (
-            np.ascontiguousarray(image.cell_data[name].reshape(shape, order="F"))
-            for name in ("start", "remaining", "layer", "density_kg_m3")
-        )
-        names = tuple(str(name) for name in image.field_data["layer_names"])
-    except (KeyError, ValueError, AttributeError, OSError):
-        raise InputError(f"bone.vti must be a file that a run wrote, got {file}: run the scene again") from None
-    return VoxelVolume(
-        1e-3 * np.array(image.origin), 1e-3 * float(image.spacing[0]), start, layer, density, names, placement
-    ), left
 
 
 def _smooth(surface: "pyvista.PolyData") -> "pyvista.PolyData":

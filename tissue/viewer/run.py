@@ -2,15 +2,13 @@
 
 from typing import TYPE_CHECKING
 
-from meshes.base.isolated_parser import parse_isolated
 from tissue.builders.registry import motion_of
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.saved_fields import frames_of
+from tissue.simulation.saved_fields import require_whole
 
 if TYPE_CHECKING:
     import pyvista
@@ -21,28 +19,6 @@ FACE_MM = 30.0
 """Edge of a drawn piece of a face that goes on, and how far a wall goes beyond the path on it."""
 WALL_MESH_MM = 5.0
 """Width of the squares of a drawn wall."""
-
-
-def require_whole(saved: SavedRun) -> None:
-    """Refuse a run whose bone or frames are damaged, before VTK reads them in this process, which it could end.
-
-    Raises
-    ------
-    InputError
-        If a file is damaged or lacks what it should hold; the message names it.
-    """
-    wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
-    if (saved.path / "fields.pvd").is_file():
-        wanted |= {name: [] for _, name in frames_of(saved.path)}
-    there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
-    if there:
-        parse_isolated(
-            "meshes.surfaces.vtk_reading:check_vtk",
-            saved.path,
-            what="folder of a run",
-            remedy="run the scene again",
-            arrays_by_file=there,
-        )
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
