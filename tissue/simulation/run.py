@@ -145,9 +145,7 @@ class Run:
     @cached_property
     def parts(self) -> Parts:
         """Tissue, motion and voxels of the engine; a folder does not keep them."""
-        raise InputError(
-            f"run must be simulated here to have its parts, got {self._files.path}: run the scene again"
-        )
+        raise InputError(f"run must be simulated here to have its parts, got {self._files.path}: run the scene again")
 
     @cached_property
     def poses(self) -> NDArray[np.float64] | None:

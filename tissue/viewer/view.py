@@ -15,7 +15,7 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.builders.registry import motion_of
 from tissue.models.tissue_model import TICK_S
-from tissue.simulation.live.page import require_web
+from tissue.simulation.live.window import require_web
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, field_names
 from tissue.system.offscreen import LONGEST_S, display_problem, draw_apart

@@ -14,12 +14,11 @@ from tissue.builders.parts import Parts
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
-from tissue.simulation.live.publisher import Publisher, PublishingProcess
+from tissue.simulation.live.publisher import Box, Publisher, PublishingProcess
 from tissue.simulation.live.shared import AnyArray, Layout
 from tissue.simulation.run import DEADLINE_US
-from tissue.simulation.simulate import RunObserver
 
-__all__ = ["PORT", "SlicerLink", "SlicerObserver", "SlicerProcess", "require_link"]
+__all__ = ["PORT", "SlicerLink", "SlicerProcess", "SlicerPublisher", "require_link"]
 
 PORT = 18944
 """Port of OpenIGTLink."""
@@ -135,45 +134,43 @@ class SlicerProcess(PublishingProcess):
         return ", ".join(words)
 
 
-class SlicerObserver(Publisher[SlicerProcess]):
-    """Publishes a live run for 3D Slicer, a client of which may move the tool; further arguments as for `Publisher`.
+class SlicerPublisher(Publisher[SlicerProcess]):
+    """Publishes a live run for 3D Slicer, a client of which may move the tool.
 
-    The last columns of timing of the other observer are how late a tick began and what was skipped [µs].
+    The last columns of timing are the delay of a tick and the skipped time [µs].
 
     Parameters
     ----------
+    scene, box
+        As of `Publisher`.
     link
-        How it is linked.
+        Port, and whether a client drives the tool.
     mouse
-        The device that a client's transform moves, with which the run ends where the link does; None for none.
+        Device that a client's transform moves; the run then ends with the link. None if nothing is moved.
     """
 
     what = "the link to 3D Slicer"
 
-    def __init__(
-        self,
-        scene: Scene,
-        along: RunObserver,
-        link: SlicerLink,
-        *,
-        box: Callable[[Parts], tuple[Array, Array]],
-        mouse: MouseDevice | None = None,
-    ) -> None:
-        super().__init__(scene, along, box=box)
-        self._link, self._mouse, self.ends_run = link, mouse, mouse is not None
-        self._missed, self._skipped_us = 0, 0.0
+    def __init__(self, scene: Scene, link: SlicerLink, box: Box, mouse: MouseDevice | None = None) -> None:
+        super().__init__(scene, box)
+        self._link = link
+        self._mouse = mouse
+        self.ends_run = mouse is not None
+        self._missed = 0
+        self._skipped_us = 0.0
 
     def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> SlicerProcess:
         self._start, self._scale = parts.motion.sweep_m()[0], self._scene.coupling.motion_scale
         return SlicerProcess(self._scene, parts, columns, low_m=low_m, high_m=high_m, link=self._link)
 
-    def _on_opened(self, process: SlicerProcess) -> None:
-        if self._link.opened is not None:
-            self._link.opened(process.address)
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """Begin to publish, and report the address."""
+        super().on_begin(parts, columns)
+        if self._link.opened is not None and self._process is not None:
+            self._link.opened(self._process.address)
 
     def before_tick(self, index: int) -> None:
-        """Wait with the other observer; take where a client wants the tool by then."""
-        super().before_tick(index)
+        """Take the pose that a client wants for the tool."""
         if self._mouse is None or self._process is None:
             return
         wanted = self._process.target()
@@ -187,5 +184,7 @@ class SlicerObserver(Publisher[SlicerProcess]):
         self._skipped_us += skipped_us
         process.show(index, row, (tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us))
 
-    def _report(self, process: SlicerProcess, time_s: float, what: str) -> None:
-        process.report(f"{time_s:.3f} s: {what}")
+    def on_event(self, time_s: float, what: str) -> None:
+        """Publish an event."""
+        if self._process is not None:
+            self._process.report(f"{time_s:.3f} s: {what}")
