@@ -21,7 +21,7 @@ NUMERICAL = frozenset(
 )  # fmt: skip
 """Keys of these parts that change the computation and not the task."""
 FREE = ("name", "description", "seed", "device", "hand", "output", "renderer", "prediction", "perception",
-        "enhancement", "coupling", "hardware", "fidelity")  # fmt: skip
+        "coupling", "hardware", "fidelity")  # fmt: skip
 """Parts that may differ between a trainee and a reference without a word: who moves the tool, and by which device."""
 
 

@@ -25,7 +25,6 @@ from tissue.scene.coupling import (
     RendererName,
     WallAnatomy,
 )
-from tissue.scene.enhancement import Enhancement
 from tissue.scene.hardware import Hardware
 from tissue.scene.keep_clear import KeepClear
 from tissue.scene.named_parts import loaded
@@ -91,6 +90,8 @@ class Output(Part):
     """Time constant of the low-pass y += (1 - exp(-T/a)) (u - y); 0 passes the model's force on."""
     vibration_share: float = Field(0.0, ge=0, le=1)
     """Amplitude of the teeth's vibration relative to the average force, at 250 Hz at most; a device plays it too."""
+    cue_N: float = Field(0.0, ge=0, le=1, examples=[0.3])
+    """Amplitude of the transient that a device plays at first contact, another layer and a puncture; 0 plays none."""
 
 
 class Stress(Part):
@@ -153,8 +154,6 @@ class Scene(Part):
     """What predicts the device's force ahead of latency and slow models."""
     perception: PerceptionName = "none"
     """For whom the device's force is scaled: none, population, or observer:FILE, as `tissue calibrate` writes it."""
-    enhancement: Enhancement | None = None
-    """What is changed in the device's force so that forces are discriminated better."""
     coupling: Coupling = Coupling()
     """How the device is coupled to the tool."""
     hardware: Hardware = Hardware()

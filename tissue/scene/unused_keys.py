@@ -34,7 +34,7 @@ def unused_keys(scene: "Scene") -> dict[str, Unused]:
     """Keys, or whole parts, that have no effect in a scene, and why."""
     found: dict[str, Unused] = {}
     bone = bone_rules, hole_rules, tooth_rules
-    for rules in (_device, _enhancement, _tool, _motion, _cutting, *bone, _organ, _chosen):
+    for rules in (_device, _tool, _motion, _cutting, *bone, _organ, _chosen):
         for keys, unused, where, remedy in rules(scene):
             if unused:
                 found = dict.fromkeys(keys.split(), Unused(where, remedy)) | found
@@ -95,10 +95,10 @@ def _asks_for_nothing(scene: "Scene", key: str) -> bool:
 
 def _device(scene: "Scene") -> list[Rule]:
     if scene.device == "none":
-        keys = "hand renderer prediction perception enhancement coupling hardware"
+        keys = "hand renderer prediction perception coupling hardware"
         nothing = "without a device, for nothing is drawn at random then"
         return [
-            (keys, True, "without a device", "set device = touch"),
+            (f"{keys} output.cue_N", True, "without a device", "set device = touch"),
             ("seed", True, nothing, "set device = touch"),
         ]
     entry, simulated = DEVICES[scene.device], f"with device = {scene.device}, which no adapter opens"
@@ -114,19 +114,6 @@ def _device(scene: "Scene") -> list[Rule]:
         ("coupling.predictor_file", not trained, "unless a trained prediction is used", koopman),
         ("coupling.roam_mm", wall, "for a wall, which goes on for ever", points),
         ("coupling.roam_mm", isinstance(scene.tool, Needle), "for a needle", points),
-    ]
-
-
-def _enhancement(scene: "Scene") -> list[Rule]:
-    asked = scene.enhancement
-    if asked is None:
-        return []
-    tuned, to_person = asked.tuned, "where they are tuned to a person"
-    flat = asked.contrast == 1.0 and not tuned
-    return [
-        ("enhancement.lift enhancement.lift_below_N enhancement.contrast", tuned, to_person, "leave tuned out"),
-        ("enhancement.lift_below_N", asked.lift == 1.0, "without a lift", "set enhancement.lift"),
-        ("enhancement.contrast_s", flat, "without a contrast", "set enhancement.contrast"),
     ]
 
 

@@ -17,12 +17,10 @@ from meshes.base.progress import Progress, silent
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
-from tissue.haptics.hand_measures import ENHANCED
 from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.break_through import BreakThrough
-from tissue.simulation.enhancement_cost import enhancement_cost
 from tissue.simulation.run_files import picture_format
 from tissue.simulation.run_folder import RunFolder, SavedRun, added_to_run, copy_run, saved_placement
 from tissue.simulation.run_summary import FORMAT, Summary
@@ -239,8 +237,6 @@ class Run:
         found |= self._timing_figures()
         if self.parts.keep_clear is not None:
             found["keep_clear"] = self.parts.keep_clear.summary()
-        if ENHANCED[0] in trace.columns:
-            found["enhancement"] = enhancement_cost(trace)
         if isinstance(tissue, HasHeat) and (heat_J := tissue.heat_balance_J) is not None:
             found["heat_J"] = heat_J
         if (limit := self.parts.motion.feed_limit) is not None:
