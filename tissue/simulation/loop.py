@@ -9,7 +9,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.builders.parts import Parts
-from tissue.models.tissue_model import TICK_S, Finishes, HasNotices, WaitsForBackground
+from tissue.models.tissue_model import TICK_S, Finishes, HasNotices
 from tissue.scene.scene import Output
 from tissue.simulation.tick import Tick
 from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout
@@ -62,9 +62,9 @@ class Loop:
 
     def __init__(self, parts: Parts, *, ticks: int, output: Output, timing_columns: tuple[str, ...] = ()) -> None:
         tissue = parts.tissue
-        self.parts, self.ticks = parts, 0
+        self.parts = parts
+        self.ticks = 0
         self.events = list(parts.events)
-        self._background = tissue if isinstance(tissue, WaitsForBackground) else None
         self._notices = tissue.notices if isinstance(tissue, HasNotices) else []
         self._clear = parts.keep_clear
         clear = () if self._clear is None else self._clear.names
@@ -83,8 +83,7 @@ class Loop:
 
     def wait(self) -> None:
         """Wait for work in the background whose result is due at the next tick."""
-        if self._background is not None:
-            self._background.wait_for_background(self.ticks * TICK_S)
+        self._tick.stepper.wait(self.ticks)
 
     def step(self) -> int:
         """Run a tick and return its row."""

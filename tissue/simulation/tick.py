@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from tissue.builders.parts import Parts
 from tissue.haptics.loop.vibration import Vibration
-from tissue.models.tissue_model import TICK_S, Response, StartsBackground, ToolMotion
-from tissue.motion.motion import quaternion_of
+from tissue.models.tissue_model import TICK_S, Response, StartsBackground, TissueModel, ToolMotion, WaitsForBackground
+from tissue.motion.motion import Motion, quaternion_of
 from tissue.motion.pose_file import COLUMNS
 from tissue.scene.scene import Output
 from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
 
-__all__ = ["PoseLog", "Tick"]
+__all__ = ["PoseLog", "Stepper", "Tick"]
 
 
 class PoseLog:
@@ -45,31 +45,129 @@ class PoseLog:
         return self._rows[: self._count]
 
 
+class Stepper:
+    """Motion of a tool and answer of a tissue, one tick of 1 ms after another, without output and record.
+
+    Runs, live runs, prompt references and environments all go through `step`. The cutting force depends on the bone as
+    it was before the present pass, so that it is the same before and after the cut.
+
+    Parameters
+    ----------
+    motion
+        Moves the tool.
+    tissue
+        Is cut or pressed by the tool.
+    balances
+        Whether the pose is searched at which the force balances the thrust. Poses are tried before the bone there is
+        cut, because a pose that is not kept must remove nothing.
+    log
+        Takes the poses of a tool that cuts.
+
+    Attributes
+    ----------
+    tool
+        Present pose of the tool.
+    response
+        Answer of the tissue at that pose.
+    moved_s, searched_s, removed_s
+        Times at which the parts of the tick ended: motion, search, removal [s].
+    """
+
+    def __init__(
+        self, motion: Motion, tissue: TissueModel, *, balances: bool = False, log: PoseLog | None = None
+    ) -> None:
+        self._motion = motion
+        self._tissue = tissue
+        self._balances = balances
+        self._log = log
+        self._starts = tissue if isinstance(tissue, StartsBackground) else None
+        self._waits = tissue if isinstance(tissue, WaitsForBackground) else None
+        self.tool = ToolMotion()
+        self.response = Response.empty(len(tissue.layer_names))
+        self.moved_s = self.searched_s = self.removed_s = 0.0
+
+    def place(self, *, resume: bool = False) -> Response:
+        """Put the tool at the start of the motion, before the first tick; return the answer there.
+
+        With `resume` the tissue continues from a loop that ended there.
+        """
+        self._motion.begin(self.tool)
+        if not resume:
+            self._tissue.place(self.tool)
+        self._keep(-1)
+        return self._tissue.respond(self.tool)
+
+    def wait(self, index: int) -> None:
+        """Wait for background work whose result is due at a tick."""
+        if self._waits is not None:
+            self._waits.wait_for_background(index * TICK_S)
+
+    def step(self, index: int) -> None:
+        """Move the tool and evaluate the tissue; between the ticks of a slow model only the motion goes on."""
+        motion, tissue, tool = self._motion, self._tissue, self.tool
+        motion.advance(index * TICK_S, TICK_S, self.response, tool)
+        self.moved_s = self.searched_s = self.removed_s = perf_counter()
+        if index % motion.model_ticks != 0:
+            return
+        if self._balances:
+            response = tissue.respond(tool)
+            while motion.correct(response, tool):
+                response = tissue.respond(tool)
+            self.searched_s = perf_counter()
+            self._cut(index)
+            self.removed_s = perf_counter()
+        else:
+            self._cut(index)
+            self.removed_s = perf_counter()
+            response = tissue.respond(tool)
+            if motion.correct(response, tool):
+                self._cut(index)
+                response = tissue.respond(tool)
+        self.response = response
+
+    def start_background(self, index: int) -> None:
+        """Start the background work that follows from a tick."""
+        if self._starts is not None:
+            self._starts.start_background(index * TICK_S, self.tool)
+
+    def _cut(self, index: int) -> None:
+        self._tissue.advance(self.tool)
+        self._keep(index)
+
+    def _keep(self, index: int) -> None:
+        if self._log is not None:
+            self._log.add(index, self.tool)
+
+
 class Tick:
-    """One tick: motion, removal, force, output, record. Everything it needs is allocated here, once."""
+    """One tick: step, output, record. Everything it needs is allocated here, once."""
 
     def __init__(self, parts: Parts, output: Output, layout: TraceLayout, trace: Table, timing: Table) -> None:
-        self._motion, self._tissue, self._clear = parts.motion, parts.tissue, parts.keep_clear
-        self._background = parts.tissue if isinstance(parts.tissue, StartsBackground) else None
-        tissue, self._model_ticks = parts.tissue, parts.motion.model_ticks
-        self._rows, self._times = trace.rows, timing.rows
-        self.tool = ToolMotion()
-        self._response = Response.empty(len(tissue.layer_names))
-        lag = output.low_pass_ms * 1e-3
-        self._gain = 1.0 - exp(-TICK_S / lag) if lag > 0.0 else 1.0
-        self._filtered, self._commanded = np.zeros(6), np.zeros(6)
-        passing = parts.cutter.tooth_passing_Hz if parts.cutter is not None else 0.0
-        self._vibration = Vibration(passing, share=output.vibration_share, step_s=TICK_S)
-        self._at, first = layout, layout.measures.start
-        self._tissue_measures = slice(first, first + len(tissue.measure_names))
-        moved = self._tissue_measures.stop + len(parts.motion.measure_names)
-        self._motion_measures = slice(self._tissue_measures.stop, moved)
-        self._clear_measures = slice(moved, layout.measures.stop)
-        self._loads = load_columns(trace.columns)
-        self._rotation, self._quaternion = b"", np.zeros(4)
+        self._motion = parts.motion
+        self._tissue = parts.tissue
+        self._clear = parts.keep_clear
+        self._rows = trace.rows
+        self._times = timing.rows
         carves = parts.cutter is not None and parts.cutter.spin_rad_s != 0.0
         self._log = PoseLog(len(trace.rows)) if carves else None
-        self._balances = carves and parts.motion.balances
+        balances = carves and parts.motion.balances
+        self.stepper = Stepper(parts.motion, parts.tissue, balances=balances, log=self._log)
+        lag_s = output.low_pass_ms * 1e-3
+        self._gain = 1.0 - exp(-TICK_S / lag_s) if lag_s > 0.0 else 1.0
+        self._filtered = np.zeros(6)
+        self._commanded = np.zeros(6)
+        passing_Hz = parts.cutter.tooth_passing_Hz if parts.cutter is not None else 0.0
+        self._vibration = Vibration(passing_Hz, share=output.vibration_share, step_s=TICK_S)
+        self._at = layout
+        first = layout.measures.start
+        moved = first + len(parts.tissue.measure_names)
+        clear = moved + len(parts.motion.measure_names)
+        self._tissue_measures = slice(first, moved)
+        self._motion_measures = slice(moved, clear)
+        self._clear_measures = slice(clear, layout.measures.stop)
+        self._loads = load_columns(trace.columns)
+        self._rotation = b""
+        self._quaternion = np.zeros(4)
 
     @property
     def poses(self) -> NDArray[np.float64] | None:
@@ -77,72 +175,40 @@ class Tick:
         return self._log.poses if self._log is not None else None
 
     def place(self, *, resume: bool = False) -> None:
-        """Put the tool where the motion starts; what that costs belongs to no tick."""
-        self._motion.begin(self.tool)
-        if not resume:
-            self._tissue.place(self.tool)
-        self._keep(-1)
+        """Put the tool at the start of the motion; the cost of that belongs to no tick."""
+        response = self.stepper.place(resume=resume)
         if self._clear is not None:
-            self._clear.measure(self.tool, placed=True)
-        self._record(self._rows[0], 0, self._tissue.respond(self.tool))
+            self._clear.measure(self.stepper.tool, placed=True)
+        self._record(self._rows[0], 0, response)
 
     def __call__(self, index: int) -> None:
         """Run one tick and record its trace and timings in row `index`."""
+        stepper = self.stepper
         start = perf_counter()
-        self._motion.advance(index * TICK_S, TICK_S, self._response, self.tool)
-        moved = searched = removed = perf_counter()  # where the model rests, all three stay alike
-        response = self._response
-        if index % self._model_ticks == 0:
-            if self._balances:
-                response = self._response = self._balance()
-                searched = perf_counter()
-            self._tissue.advance(self.tool)
-            self._keep(index)
-            removed = perf_counter()
-            if not self._balances:
-                response = self._response = self._tissue.respond(self.tool)
-                if self._motion.correct(response, self.tool):
-                    self._tissue.advance(self.tool)
-                    self._keep(index)
-                    response = self._response = self._tissue.respond(self.tool)
+        stepper.step(index)
+        response = stepper.response
         self._motion.play(response)
         if self._clear is not None:
-            self._clear.measure(self.tool)
+            self._clear.measure(stepper.tool)
         forced = perf_counter()
         self._filtered += self._gain * (response.wrench - self._filtered)
         np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
         self._record(self._rows[index], index, response)
         recorded = perf_counter()
-        if self._background is not None:
-            self._background.start_background(index * TICK_S, self.tool)
+        stepper.start_background(index)
         end = perf_counter()
         self._times[index, : len(TIMING_COLUMNS)] = (
             (end - start) * 1e6,
-            (moved - start) * 1e6,
-            (removed - searched) * 1e6,
-            (forced - removed + searched - moved) * 1e6,
+            (stepper.moved_s - start) * 1e6,
+            (stepper.removed_s - stepper.searched_s) * 1e6,
+            (forced - stepper.removed_s + stepper.searched_s - stepper.moved_s) * 1e6,
             (recorded - forced) * 1e6,
             (end - recorded) * 1e6,
         )
 
-    def _balance(self) -> Response:
-        """Return the force at the pose where it balances what pushes the tool.
-
-        Poses are tried before the bone there is cut: a pose that is not kept must remove nothing. The cutting force
-        depends on the bone as it was before the present pass, so that it is the same before and after the cut.
-        """
-        response = self._tissue.respond(self.tool)
-        while self._motion.correct(response, self.tool):
-            response = self._tissue.respond(self.tool)
-        return response
-
-    def _keep(self, index: int) -> None:
-        if self._log is not None:
-            self._log.add(index, self.tool)
-
     def _record(self, row: np.ndarray, index: int, response: Response) -> None:
         """Write one row of the trace, in the units of its columns."""
-        tool, at = self.tool, self._at
+        tool, at = self.stepper.tool, self._at
         if tool.rotation.tobytes() != self._rotation:
             self._rotation = tool.rotation.tobytes()
             self._quaternion[:] = quaternion_of(tool.rotation)
