@@ -71,8 +71,8 @@ def milling_picture(env: "Milling") -> NDArray[np.uint8]:
 def drilling_picture(env: "Drilling") -> NDArray[np.uint8]:
     """Section along x under the bur, with the wanted depth."""
     figure, (side,) = _canvas(env, 1)
-    tip, radius = 1e3 * env.motion.tip_m, 1e3 * env.bone.model.cutter.profile.radius_m
-    _section(side, env.bone, 1, env.motion.tip_m[1], TOOTH_COLOURS)
+    tip, radius = 1e3 * env.tool.tip_m, 1e3 * env.bone.model.cutter.profile.radius_m
+    _section(side, env.bone, 1, env.tool.tip_m[1], TOOTH_COLOURS)
     side.add_patch(Circle((tip[0], tip[2] + radius), radius, fill=False, color="0.2"))
     side.axhline(1e3 * (env.surface_m - env.wanted_m), color="0.2", linestyle="--", linewidth=1.0, label="wanted depth")
     side.set_ylim(-4.0, 2.5)
