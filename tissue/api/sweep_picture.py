@@ -11,7 +11,7 @@ from tissue.api.trace import label_of, unit_of
 from tissue.figures.figure import plain, styled
 
 if TYPE_CHECKING:
-    from tissue.api.sweep import Sweep
+    from tissue.api.sweep_table import Sweep
 
 __all__ = ["can_be_drawn", "differing", "draw_figures"]
 
@@ -31,7 +31,7 @@ def can_be_drawn(sweep: "Sweep") -> bool:
 
 @styled
 def draw_figures(sweep: "Sweep", names: list[str] | None) -> NDArray[np.object_]:
-    """Draw figures over the first key; see `tissue.api.sweep.Sweep.plot`."""
+    """Draw figures over the first key; see `tissue.api.sweep_table.Sweep.plot`."""
     from matplotlib import pyplot
 
     names = differing(sweep) if names is None else names

@@ -122,8 +122,9 @@ class PalpationExpert:
         return np.asarray((weight[:, None] * felt[:, :2]).sum(axis=0) / weight.sum())
 
 
-def expert_of(env: Any) -> Any:
-    """A new expert for an episode of an environment, wrapped or not: call it with each observation."""
+def expert_of(env: Any) -> MillingExpert | DrillingExpert | PalpationExpert:
+    """Return a new expert for an episode of an environment, wrapped or not: call it with each observation."""
     bare = env.unwrapped
-    kinds = {Milling: MillingExpert, Drilling: DrillingExpert, Palpation: PalpationExpert}
-    return kinds[type(bare)](bare)
+    if isinstance(bare, Milling):
+        return MillingExpert(bare)
+    return DrillingExpert(bare) if isinstance(bare, Drilling) else PalpationExpert(bare)

@@ -1,6 +1,7 @@
 """The carved bone of a run as files: voxels as .vti and .nrrd, its surface as .vtp and .stl."""
 
 import gzip
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,11 @@ from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.base.whole_file import whole_file
 from meshes.voxels.volume import VoxelVolume
+from tissue.motion.pose_file import read_poses
 from tissue.simulation.bone_surface import bone_surface, with_depth, with_layers
 from tissue.simulation.depth_map import CarvedRun, depth_map
+from tissue.simulation.run_folder import SavedRun, saved_placement
+from tissue.simulation.saved_fields import require_whole
 from tissue.simulation.vtk_files import image_in_file, image_in_scene, mesh_in_file, write_vtk, write_vtk_xml
 
 if TYPE_CHECKING:
@@ -20,7 +24,7 @@ if TYPE_CHECKING:
 
     from tissue.simulation.run import Run
 
-__all__ = ["carved_surface", "read_voxels", "voxel_image", "write_bone"]
+__all__ = ["carved_surface", "read_voxels", "saved_voxels", "voxel_image", "write_bone"]
 
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
 """Units of a file by their length [mm], as NRRD names them."""
@@ -72,6 +76,26 @@ def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVo
         raise InputError(f"bone.vti must be a file that a run wrote, got {file}: run the scene again") from None
     origin_m, spacing_m = 1e-3 * np.array(image.origin), 1e-3 * float(image.spacing[0])
     return VoxelVolume(origin_m, spacing_m, start, layer, density, names, placement), left
+
+
+def saved_voxels(saved: SavedRun) -> tuple[VoxelVolume, NDArray[np.uint8], NDArray[np.float64] | None]:
+    """Read a run's voxels before the first cut, the bone left at the end, and the poses of the tool that cut.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no voxels, or a file is damaged.
+    """
+    file, poses = saved.path / "bone.vti", saved.path / "carving" / "poses.npz"
+    if not file.is_file():
+        raise InputError(f"run must have voxels, got {saved.path} without bone.vti: see its trace and fields")
+    require_whole(saved)
+    volume, left = read_voxels(file, saved_placement(saved.path))
+    if not poses.is_file():
+        return volume, left, None
+    cut, origin_m, spacing_m = read_poses(poses)
+    # The image rounds origin and spacing, but the bits of the carving depend on them.
+    return replace(volume, origin_m=origin_m, spacing_m=spacing_m), left, cut
 
 
 def carved_surface(run: CarvedRun) -> "pyvista.PolyData":

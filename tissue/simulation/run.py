@@ -3,7 +3,7 @@
 import os
 import platform
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -22,7 +22,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.break_through import BreakThrough
 from tissue.simulation.run_files import picture_format
-from tissue.simulation.run_folder import RunFolder, SavedRun, added_to_run, copy_run, saved_placement
+from tissue.simulation.run_folder import RunFolder, SavedRun, added_to_run, copy_run
 from tissue.simulation.run_summary import FORMAT, Summary
 from tissue.simulation.scheduling import Scheduling
 from tissue.simulation.trace import Table
@@ -190,13 +190,7 @@ class Run:
         return found
 
     def replay(self) -> "CarvingReplay":
-        """Carve the bone once more, for the bone at any tick: ``run.replay().at(tick)``.
-
-        Raises
-        ------
-        InputError
-            If nothing was cut.
-        """
+        """Carve the bone once more, for the bone at any tick; raises `InputError` if nothing was cut."""
         import warp
 
         from tissue.models.bone.replay import CarvingReplay
@@ -216,8 +210,8 @@ class Run:
         """Figures of the run, as in ``summary.json``: volumes, forces, tick cost, deadlines, scheduling, notes."""
         if self._saved is not None:
             return self._saved.summary | {"status": self._saved.status}
-        trace, tissue = self.trace, self.parts.tissue
-        volumes = {"start_mm3": tissue.start_m3, "removed_mm3": tissue.removed_m3}
+        trace = self.trace
+        tissue = self.parts.tissue
         found: Summary = {
             "format": FORMAT,
             "tissue": package_version(),
@@ -227,7 +221,7 @@ class Run:
             "simulated_s": len(trace.rows) * 1e-3,
             "cuts": self.parts.cutter is not None,
         }
-        for name, volumes_m3 in volumes.items():
+        for name, volumes_m3 in (("start_mm3", tissue.start_m3), ("removed_mm3", tissue.removed_m3)):
             found[name] = dict(zip(trace.layer_names, (volumes_m3 * 1e9).tolist(), strict=True))
         contact = trace["contact_mm2"] > 0.0
         for name, unit in (("force", "N"), ("torque", "Nm")):
@@ -389,22 +383,9 @@ class Run:
 
     @cached_property
     def _voxels(self) -> tuple[VoxelVolume, NDArray[np.uint8], NDArray[np.float64] | None]:
-        """Voxels in the folder before the first cut, the bone that is left, and poses of the tool that cut."""
-        from tissue.motion.pose_file import read_poses
-        from tissue.simulation.bone_files import read_voxels
-        from tissue.simulation.saved_fields import require_whole
+        from tissue.simulation.bone_files import saved_voxels
 
-        path = self._files.path
-        file, poses = path / "bone.vti", path / "carving" / "poses.npz"
-        if not file.is_file():
-            raise InputError(f"run must have voxels, got {path} without bone.vti: see its trace and fields")
-        require_whole(self._files)
-        volume, left = read_voxels(file, saved_placement(path))
-        if not poses.is_file():
-            return volume, left, None
-        cut, origin_m, spacing_m = read_poses(poses)
-        # The image rounds origin and spacing, but the bits of the carving depend on them.
-        return replace(volume, origin_m=origin_m, spacing_m=spacing_m), left, cut
+        return saved_voxels(self._files)
 
     def _required(self, part: Part | None, name: str) -> Part:
         """Return a part of the folder that must be there."""
@@ -415,8 +396,4 @@ class Run:
 
 def _spread(values: NDArray[np.float64]) -> dict[str, Any]:
     """Median, 99th percentile and maximum."""
-    return {
-        "median": float(np.median(values)),
-        "p99": float(np.percentile(values, 99)),
-        "max": float(values.max()),
-    }
+    return {"median": float(np.median(values)), "p99": float(np.percentile(values, 99)), "max": float(values.max())}

@@ -14,7 +14,8 @@ from offered_package import offer_example, searching
 import tissue
 from tissue import InputError
 from tissue.api import sweep as module
-from tissue.api.sweep import SweptRun, parse_values
+from tissue.api.sweep import parse_values
+from tissue.api.sweep_table import SweptRun
 
 QUICK = {"voxels.spacing_mm": 0.5, "duration_s": 0.05}
 
