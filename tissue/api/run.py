@@ -16,7 +16,7 @@ from tissue.api.progress import Bar, reporting
 from tissue.api.run_figures import run_html, run_line
 from tissue.api.trace import Trace
 from tissue.simulation import run as engine
-from tissue.simulation.run_files import picture_format
+from tissue.simulation.run_folder import picture_format
 from tissue.simulation.run_summary import Summary, summary_of
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
-from tissue.simulation.tick import Stepper
+from tissue.simulation.loop import Stepper
 
 __all__ = ["FORCE_WEIGHT", "TIME_WEIGHT", "ContactEnvironment", "Entry"]
 

@@ -24,9 +24,8 @@ from tissue.haptics.loop.motor_path import force_later_N, mean_over_ticks_N, mot
 from tissue.models.tissue_model import Finishes
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
-from tissue.simulation.loop import undisturbed
+from tissue.simulation.loop import Stepper, undisturbed
 from tissue.simulation.simulate import TICK_S, tick_count
-from tissue.simulation.tick import Stepper
 from tissue.simulation.trace import LEAST_LOAD, Table
 
 __all__ = [

@@ -21,8 +21,7 @@ from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.break_through import BreakThrough
-from tissue.simulation.run_files import picture_format
-from tissue.simulation.run_folder import RunFolder, SavedRun, added_to_run, copy_run
+from tissue.simulation.run_folder import RunFolder, SavedRun, added_to_run, copy_run, picture_format
 from tissue.simulation.run_summary import FORMAT, Summary
 from tissue.simulation.scheduling import Scheduling
 from tissue.simulation.trace import Table
@@ -57,7 +56,7 @@ class Run:
     events
         Events of the run: time [s] and a sentence each.
     poses
-        Poses of a tool that cuts, see `tissue.simulation.tick.PoseLog`; None for other tools.
+        Poses of a tool that cuts, see `tissue.simulation.loop.PoseLog`; None for other tools.
     compute
         Warp device.
 
@@ -147,7 +146,7 @@ class Run:
 
     @cached_property
     def poses(self) -> NDArray[np.float64] | None:
-        """Poses of a tool that cuts, see `tissue.simulation.tick.PoseLog`; None for other tools."""
+        """Poses of a tool that cuts, see `tissue.simulation.loop.PoseLog`; None for other tools."""
         return self._voxels[2] if (self._files.path / "bone.vti").is_file() else None
 
     @property

@@ -15,7 +15,7 @@ from tissue.figures.force_torque import draw_force_torque
 from tissue.figures.played import _compressed
 from tissue.figures.removed_depth import shown_mm
 from tissue.simulation.depth_map import depth_map
-from tissue.simulation.run_files import picture_format
+from tissue.simulation.run_folder import picture_format
 
 SVG = "{http://www.w3.org/2000/svg}"
 
