@@ -34,7 +34,7 @@ class BoneSurface:
     Parameters
     ----------
     start, arrays
-        As `tissue.simulation.live.tissues.BoneShared` shares them.
+        As `tissue.simulation.live.shared.BoneShared` shares them.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class OrganSurface:
     Parameters
     ----------
     start, arrays
-        As `tissue.simulation.live.tissues.OrganShared` shares them.
+        As `tissue.simulation.live.shared.OrganShared` shares them.
 
     Attributes
     ----------
