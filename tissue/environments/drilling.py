@@ -183,7 +183,8 @@ class Drilling(ContactEnvironment):
         """Return the speed that balances thrust, inertia, damping and a force of the bone [m/s]."""
         edge = max(float(response.edge[2]), 0.0)
         drag = max(float(response.resistance[2]), 0.0)
-        before, thrust = self._before, self._thrust
+        before = self._before
+        thrust = self._thrust
         speed = implicit_speed(
             before,
             thrust=thrust - (edge if down else 0.0),
@@ -220,7 +221,8 @@ class Drilling(ContactEnvironment):
 
     def _facts(self) -> dict[str, Any]:
         removed = {name: self.bone.removed_mm3(name) for name in ("enamel", "dentin")}
-        deepest, wanted = 1e3 * self._deepest_m, 1e3 * self.wanted_m
+        deepest = 1e3 * self._deepest_m
+        wanted = 1e3 * self.wanted_m
         return {"depth_mm": 1e3 * self.depth_m, "deepest_mm": deepest, "wanted_mm": wanted, "removed_mm3": removed}
 
     def _draw(self) -> NDArray[np.uint8]:

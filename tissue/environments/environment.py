@@ -102,7 +102,8 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         self._scales = np.concatenate([np.full(each.count, each.scale) for each in self.entries])
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_count,), np.float32)
         self.observation_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, self._scales.shape, np.float32)
-        self._done_steps, self.score = 0, 0.0
+        self._done_steps = 0
+        self.score = 0.0
         self._loads = np.zeros(6)
         self._command = np.zeros(self.action_count)
         self.drawn: dict[str, float] = {}
@@ -132,7 +133,8 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
             if name not in self.ranges:
                 raise InputError(f"options must be of {', '.join(self.ranges)}, got {name!r}: leave it out")
             self.drawn[name] = require_range(f"options[{name!r}]", value, *self.ranges[name], "take one in between")
-        self._done_steps, self.score = 0, 0.0
+        self._done_steps = 0
+        self.score = 0.0
         self._loads[:] = 0.0
         self._prepare()
         self.stepper.place()
@@ -143,13 +145,16 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
         if not self.drawn:
             raise InputError("step must follow reset, got no episode: call reset first")
         command = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
-        before, peak, excess = self._potential(), 0.0, 0.0
+        before = self._potential()
+        peak = 0.0
+        excess = 0.0
         self._loads[:] = 0.0
         for _ in range(self.ticks):
             wrench = self._tick(command)
             self._loads += wrench
             force = float(np.sqrt(wrench[:3].dot(wrench[:3])))
-            peak, excess = max(peak, force), excess + max(force / self.force_limit_N - 1.0, 0.0)
+            peak = max(peak, force)
+            excess = excess + max(force / self.force_limit_N - 1.0, 0.0)
         self._loads /= self.ticks
         self._done_steps += 1
         after = self._potential()
@@ -176,7 +181,8 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
     def named(self, observation: Any) -> dict[str, Array]:
         """The numbers of an observation by name, in the units of `entries`."""
         state = observation["state"] if isinstance(observation, dict) else observation
-        values, places = np.asarray(state, dtype=np.float64) * self._scales, np.cumsum([e.count for e in self.entries])
+        values = np.asarray(state, dtype=np.float64) * self._scales
+        places = np.cumsum([e.count for e in self.entries])
         return {
             entry.name: values[end - entry.count : end]
             for entry, end in zip(self.entries, places.tolist(), strict=True)

@@ -90,7 +90,8 @@ class Milling(ContactEnvironment):
 
     def __init__(self, *, patch: bool = False, materials: str | PathLike[str] | None = None, **options: Any) -> None:
         super().__init__(**options)
-        self._with_patch, self._materials = patch, materials
+        self._with_patch = patch
+        self._materials = materials
         if patch:
             around = spaces.Box(0.0, 1.0, (PATCH_POINTS,) * 3, np.float32)
             self.observation_space = spaces.Dict({"state": self.observation_space, "patch": around})

@@ -79,7 +79,9 @@ class Palpation(ContactEnvironment):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self.tip_m, self.nodule_m, self._turn = np.zeros(3), np.zeros(2), np.eye(3)
+        self.tip_m = np.zeros(3)
+        self.nodule_m = np.zeros(2)
+        self._turn = np.eye(3)
         self._velocity_m_s = np.zeros(3)
         self._touched = False
         self.path: list[tuple[float, ...]] = []
@@ -109,7 +111,8 @@ class Palpation(ContactEnvironment):
     def _prepare(self) -> None:
         bearing, turn = (np.deg2rad(self.drawn[name]) for name in ("bearing_deg", "turn_deg"))
         self.nodule_m[:] = 1e-3 * self.drawn["distance_mm"] * np.array([np.cos(bearing), np.sin(bearing)])
-        cosine, sine = np.cos(turn), np.sin(turn)
+        cosine = np.cos(turn)
+        sine = np.sin(turn)
         self._turn[:2, :2] = [[cosine, -sine], [sine, cosine]]
         self.tip_m[:] = (0.0, 0.0, START_M)
         self._velocity_m_s[:] = 0.0

@@ -50,7 +50,8 @@ class RestorableBone:
         shell_spacing_m: float,
         materials: str | PathLike[str] | None = None,
     ) -> None:
-        given, layers = Materials.of(materials), volume.layer_names
+        given = Materials.of(materials)
+        layers = volume.layer_names
         used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
         given_note(given, used, layers=layers, by="environment")
         # A material is named for layers that have none of their own; one core, as environments run beside each other.

@@ -127,7 +127,8 @@ class HandMotion(Motion):
     def __init__(
         self, device: Device, tool: HeldTool, limits: DeviceParameters, rendering: Rendering, script: Script
     ) -> None:
-        loop, predictor = rendering.loop, rendering.predictor
+        loop = rendering.loop
+        predictor = rendering.predictor
         self._limits = limits
         self._played = rendering.played or PlayedForce(limits)
         self._sample_s = loop.tick_s
@@ -193,7 +194,8 @@ class HandMotion(Motion):
         self._truth = self.held.device if isinstance(self.held.device, KnowsTruth) else None
         self.measure_names += (at.TRUE + at.HAND_FORCE) * (self._truth is not None)
         self.measures = np.zeros(len(self.measure_names))
-        self.measures[at.QUATERNION], self.measures[at.MARGIN] = (0.0, 0.0, 0.0, 1.0), self._margin
+        self.measures[at.QUATERNION] = (0.0, 0.0, 0.0, 1.0)
+        self.measures[at.MARGIN] = self._margin
 
     def sweep_m(self) -> Array:
         """Positions of the scripted motion [m], and the same a stray to every side."""
@@ -227,9 +229,11 @@ class HandMotion(Motion):
         self._ticks += 1
         self._sample = None
         if sample is None:
-            motion.speed_m_s, self._velocity[:] = 0.0, 0.0
+            motion.speed_m_s = 0.0
+            self._velocity[:] = 0.0
             return
-        self._sample, self._is_new = sample, self._samples.is_new(sample, time_s)
+        self._sample = sample
+        self._is_new = self._samples.is_new(sample, time_s)
         if self._fresh:
             self._before[:] = self.tool.tip_m
             self._follow(sample, response, motion)
@@ -257,14 +261,18 @@ class HandMotion(Motion):
 
     def play(self, response: Response) -> None:
         """Give the device the force that answers its sample."""
-        wanted, torque, compressed = None, None, False
+        wanted = None
+        torque = None
+        compressed = False
         row = self.measures
         if (sample := self._sample) is None:
             self._pause()
         else:
             here, speed = self._render(sample)
             if self._fresh and self._turning_law is not None:
-                turned, spin, still = self.tool.quaternion, np.array(sample.spin_rad_s), np.zeros(3)
+                turned = self.tool.quaternion
+                spin = np.array(sample.spin_rad_s)
+                still = np.zeros(3)
                 self._torque = self._turning_law.render(sample.quaternion, spin, turned, still, self._step)
             row[at.RAW_FORCE] = force = self._raw
             if self.predictor is not None:
@@ -272,7 +280,8 @@ class HandMotion(Motion):
                     self._sees.meet(self.contact(response))
                 self.predictor.observe(here, speed, force if self._fresh else None)
                 predicted = self.predictor.predict(self.lead_ticks)
-                row[at.PREDICTED_FORCE], row[at.RESIDUAL] = predicted, self.predictor.residual_N
+                row[at.PREDICTED_FORCE] = predicted
+                row[at.RESIDUAL] = self.predictor.residual_N
                 row[at.PREDICTED_BY] = self.predictor.is_primary
                 force = force + self._gain * (predicted - force) if self._gain != 1.0 else predicted
                 if self._control is not None:
@@ -283,14 +292,19 @@ class HandMotion(Motion):
                 torque, squeezed = self._torques.play(self._turning_delay.step(self._turning.step(self._torque)))
                 compressed = compressed or squeezed
             self.observer.observe(here)
-            row[at.POSITION], row[at.QUATERNION], row[at.FILTERED_FORCE] = 1e3 * here, sample.quaternion, filtered
+            row[at.POSITION] = 1e3 * here
+            row[at.QUATERNION] = sample.quaternion
+            row[at.FILTERED_FORCE] = filtered
             row[self._person] = self._played.measures
             if self._truth is not None:
-                row[-6:-3], row[-3:] = 1e3 * np.array(self._truth.true_position_m), self._truth.hand_force_N
+                row[-6:-3] = 1e3 * np.array(self._truth.true_position_m)
+                row[-3:] = self._truth.hand_force_N
         played, turning = self.held.play(*self.guard.limit_force(wanted, torque))
         self.observer.hold(played)
-        row[at.PLAYED_FORCE], row[at.PLAYED_TORQUE] = played, turning
-        row[at.SATURATED], row[at.ENERGY] = compressed, self.observer.energy_J
+        row[at.PLAYED_FORCE] = played
+        row[at.PLAYED_TORQUE] = turning
+        row[at.SATURATED] = compressed
+        row[at.ENERGY] = self.observer.energy_J
 
     def raw_force_N(self) -> Array:
         """The renderer's force of a tick in which nothing is played, shape (3,); without a sample that of the last."""
@@ -308,9 +322,11 @@ class HandMotion(Motion):
         if self._speeds is not None:
             if self._is_new:
                 self._rates = self._speeds.step(both)
-            speed, went = self._rates[:3], self._rates[3:]
+            speed = self._rates[:3]
+            went = self._rates[3:]
         else:
-            speed, went = np.array(sample.velocity_m_s), self._went / self._scale
+            speed = np.array(sample.velocity_m_s)
+            went = self._went / self._scale
         if self._fresh:
             self._raw = self._contact.render(here, speed, tip, went, self._step)
         return here, speed
@@ -327,9 +343,11 @@ class HandMotion(Motion):
     def _set_speed(self, motion: ToolMotion, went_m_s: Array) -> None:
         """Heading and speed: of the balance, or estimated where the tool goes with the device."""
         self._velocity += self._smoothing * (went_m_s - self._velocity)
-        velocity, heading = self._velocity, self._velocity
+        velocity = self._velocity
+        heading = self._velocity
         if self.tool.driven:
-            velocity, heading = went_m_s, self.tool.heading
+            velocity = went_m_s
+            heading = self.tool.heading
         size = sqrt(heading.dot(heading))
         if size > 0.0:
             motion.heading[0] = heading / size

@@ -74,7 +74,8 @@ def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVo
         names = tuple(str(name) for name in image.field_data["layer_names"])
     except (KeyError, ValueError, AttributeError, OSError):
         raise InputError(f"bone.vti must be a file that a run wrote, got {file}: run the scene again") from None
-    origin_m, spacing_m = 1e-3 * np.array(image.origin), 1e-3 * float(image.spacing[0])
+    origin_m = 1e-3 * np.array(image.origin)
+    spacing_m = 1e-3 * float(image.spacing[0])
     return VoxelVolume(origin_m, spacing_m, start, layer, density, names, placement), left
 
 
@@ -86,7 +87,8 @@ def saved_voxels(saved: SavedRun) -> tuple[VoxelVolume, NDArray[np.uint8], NDArr
     InputError
         If the folder holds no voxels, or a file is damaged.
     """
-    file, poses = saved.path / "bone.vti", saved.path / "carving" / "poses.npz"
+    file = saved.path / "bone.vti"
+    poses = saved.path / "carving" / "poses.npz"
     if not file.is_file():
         raise InputError(f"run must have voxels, got {saved.path} without bone.vti: see its trace and fields")
     require_whole(saved)
@@ -120,7 +122,8 @@ def write_bone(run: "Run", out: Path) -> None:
     from vtkmodules.vtkIOGeometry import vtkSTLWriter
     from vtkmodules.vtkIOXML import vtkXMLImageDataWriter, vtkXMLPolyDataWriter
 
-    image, placement = voxel_image(run.volume, run.remaining), run.parts.placement
+    image = voxel_image(run.volume, run.remaining)
+    placement = run.parts.placement
     write_vtk_xml(vtkXMLImageDataWriter(), image_in_file(image, placement), out / "bone.vti")
     _write_nrrd(run, out / "bone.nrrd")
     surface = mesh_in_file(carved_surface(run), placement)
@@ -136,11 +139,14 @@ def write_bone(run: "Run", out: Path) -> None:
 
 def _write_nrrd(run: "Run", path: Path) -> None:
     """Write ``remaining`` as a compressed NRRD image; its axes are those of the surface files in 3D Slicer (LPS)."""
-    volume, placement = run.volume, run.parts.placement
-    directions, origin = volume.spacing_m * 1e3 * np.eye(3), (volume.origin_m + 0.5 * volume.spacing_m) * 1e3
+    volume = run.volume
+    placement = run.parts.placement
+    directions = volume.spacing_m * 1e3 * np.eye(3)
+    origin = (volume.origin_m + 0.5 * volume.spacing_m) * 1e3
     units = []
     if placement is not None:
-        directions, origin = directions @ placement.rotation.T / placement.unit_mm, placement.to_file(origin[None])[0]
+        directions = directions @ placement.rotation.T / placement.unit_mm
+        origin = placement.to_file(origin[None])[0]
         name = UNIT_NAMES.get(placement.unit_mm)
         units = [f'space units: "{name}" "{name}" "{name}"'] if name else []
     header = "\n".join(

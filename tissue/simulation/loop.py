@@ -118,7 +118,9 @@ class Stepper:
 
     def step(self, index: int) -> None:
         """Move the tool and evaluate the tissue; between the ticks of a slow model only the motion goes on."""
-        motion, tissue, tool = self._motion, self._tissue, self.tool
+        motion = self._motion
+        tissue = self._tissue
+        tool = self.tool
         motion.advance(index * TICK_S, TICK_S, self.response, tool)
         self.moved_s = self.searched_s = self.removed_s = perf_counter()
         if index % motion.model_ticks != 0:
@@ -222,7 +224,8 @@ class Tick:
 
     def _record(self, row: np.ndarray, index: int, response: Response) -> None:
         """Write one row of the trace, in the units of its columns."""
-        tool, at = self.stepper.tool, self._at
+        tool = self.stepper.tool
+        at = self._at
         if tool.rotation.tobytes() != self._rotation:
             self._rotation = tool.rotation.tobytes()
             self._quaternion[:] = quaternion_of(tool.rotation)
@@ -254,7 +257,8 @@ SWITCH_S = 5e-5
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Keep the garbage collector and other threads from the ticks of a block."""
-    was_enabled, switching = gc.isenabled(), sys.getswitchinterval()
+    was_enabled = gc.isenabled()
+    switching = sys.getswitchinterval()
     gc.disable()
     sys.setswitchinterval(SWITCH_S)
     try:
@@ -326,7 +330,8 @@ class Loop:
 
     def finish(self) -> None:
         """Complete what was spread over ticks; the tables end with the last tick."""
-        self.trace.rows, self.timing.rows = self.trace.rows[: self.ticks], self.timing.rows[: self.ticks]
+        self.trace.rows = self.trace.rows[: self.ticks]
+        self.timing.rows = self.timing.rows[: self.ticks]
         if isinstance(self.parts.tissue, Finishes):
             self.parts.tissue.finish()
 

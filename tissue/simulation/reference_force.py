@@ -105,7 +105,8 @@ def ideal_force_N(run: SimulatedRun, finest: Mapping[str, object] | None = None,
     scene = ideal_scene(run.scene, finest).model_copy(update={"duration_s": len(trace.rows) * TICK_S})
     parts = build(scene, step_s=TICK_S, compute="cpu", cores=cores, report=silent, allow_unstable=True)
     assert isinstance(parts.motion, HandMotion)
-    parts.motion.device, parts.motion.after_s = played_back, 0.0
+    parts.motion.device = played_back
+    parts.motion.after_s = 0.0
     return rendered_force_N(parts, tick_count(scene, parts.motion))
 
 
@@ -122,7 +123,8 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
     ticks
         Number of ticks.
     """
-    motion, tissue = parts.motion, parts.tissue
+    motion = parts.motion
+    tissue = parts.tissue
     assert isinstance(motion, HandMotion)
     stepper = Stepper(motion, tissue)
     forces = np.zeros((ticks, 3))
@@ -150,7 +152,8 @@ def stretch_force_N(run: SimulatedRun) -> Array:
     InputError
         If the run had no device.
     """
-    coupling, trace = ideal_scene(run.scene).coupling, run.trace
+    coupling = ideal_scene(run.scene).coupling
+    trace = run.trace
     assert coupling.stiffness_N_m is not None
     start_mm = 1e3 * run.parts.motion.sweep_m()[0]
     tool_mm = start_mm + (trace.vectors("tool", "mm") - start_mm) / coupling.motion_scale

@@ -167,10 +167,12 @@ class RunFolder:
         if not self._summary:
             return
         if isinstance(error, KeyboardInterrupt):
-            status, problem = "interrupted", error.name if isinstance(error, Terminated) else "Ctrl-C"
+            status = "interrupted"
+            problem = error.name if isinstance(error, Terminated) else "Ctrl-C"
         else:
             kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-            status, problem = "failed", kind + " ".join(str(error).split())
+            status = "failed"
+            problem = kind + " ".join(str(error).split())
         summary = {name: value for name, value in self._summary.items() if name != "process"}
         self._write_summary(summary | {"status": status, "problem": problem})
 
@@ -242,11 +244,13 @@ class SavedRun:
         self.summary: Summary = read_summary(self.path)
         self.status = _status_of(self.summary)
         self.problem = str(self.summary.get("problem", ""))
-        kept, table = self.path / "scene.toml", self.path / "trace.csv"
+        kept = self.path / "scene.toml"
+        table = self.path / "trace.csv"
         self.scene = load_scene(kept) if kept.is_file() else None
         self.trace = read_trace(table, tuple(self.summary.get("layers", ()))) if table.is_file() else None
         if self.complete and self.trace is not None:
-            stated, found = round(self.summary["simulated_s"] / TICK_S), len(self.trace.rows)
+            stated = round(self.summary["simulated_s"] / TICK_S)
+            found = len(self.trace.rows)
             if found != stated:
                 raise InputError(
                     f"trace.csv must hold {stated} ticks as in summary.json, got {found} in {table}: run the scene "
@@ -337,7 +341,8 @@ def _adopted(path: Path) -> set[str]:
     """Files of a run that version 0.2 wrote, without a marker; none where the folder is no such run by its content."""
     if "run" in listed_files(path):
         return set()
-    kept, table = path / "scene.toml", path / "trace.csv"
+    kept = path / "scene.toml"
+    table = path / "trace.csv"
     try:
         saved = SavedRun(path)
         if saved.scene is None or not isinstance(saved.summary.get("tissue"), str):

@@ -44,7 +44,8 @@ def field_label(name: str) -> tuple[str, str]:
     """Words and unit of a field: ``("von Mises", "kPa")`` of ``von_mises_kPa``; no unit is empty."""
     words, _, unit = name.rpartition("_")
     if unit not in UNITS:
-        words, unit = name, ""
+        words = name
+        unit = ""
     return words.replace("_", " ").replace("mises", "Mises"), UNITS.get(unit, "")
 
 
@@ -177,11 +178,13 @@ class SavedFields:
         Between two frames of the same mesh the values are interpolated linearly. Where cells went in between, it is the
         earlier frame.
         """
-        frames, times = self.frames, self.times_s
+        frames = self.frames
+        times = self.times_s
         index = int(np.clip(np.searchsorted(times, time_s + 1e-9) - 1, 0, len(times) - 1))
         if index + 1 == len(times) or time_s <= times[index] + 1e-9 or not self._same[index]:
             return frames[index], float(times[index])
-        early, late = frames[index], frames[index + 1]
+        early = frames[index]
+        late = frames[index + 1]
         share = np.float32((time_s - times[index]) / (times[index + 1] - times[index]))
         mesh: pyvista.UnstructuredGrid = early.copy(deep=False)
         for kept, first, second in (

@@ -127,7 +127,8 @@ def simulate(
                 device_parameters(scene.device, scene.constants),
                 remedy=f"state devices.{scene.device}.rate_Hz in a file of constants for the key materials",
             )
-            parts.motion.device, parts.motion.after_s = device, 0.0
+            parts.motion.device = device
+            parts.motion.after_s = 0.0
         ticks = tick_count(scene, parts.motion)
         columns = observer.timing_columns if observer is not None else ()
         loop = Loop(parts, ticks=ticks, output=scene.output, timing_columns=columns)
@@ -162,7 +163,8 @@ def _run_ticks(
     observer: RunObserver | None,
 ) -> Scheduling:
     """Run all ticks of a loop with their observer, and report progress about ten times a second."""
-    trace, timing = loop.trace, loop.timing
+    trace = loop.trace
+    timing = loop.timing
     each_row = observer is not None  # many rows at once would delay a tick that follows the wall clock
     observer = observer or RunObserver()
     motion = loop.parts.motion
@@ -213,7 +215,8 @@ def _run_ticks(
 
 def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
     """Return the error of the predicted forces as a note; no note without contact or for a slower model."""
-    predicted, raw = trace.vectors("predicted_force", "N"), trace.vectors("raw_force", "N")
+    predicted = trace.vectors("predicted_force", "N")
+    raw = trace.vectors("raw_force", "N")
     ticks = motion.lead_ticks
     size = float(np.linalg.norm(raw))
     if size == 0.0 or not 0 < ticks < len(raw) or motion.model_ticks > 1:

@@ -61,7 +61,8 @@ class WallClock:
     ) -> None:
         self._tick = require_positive("tick_s", tick_s, "use 1e-3")
         self._behind = require_positive("behind_s", behind_s, "use 0.01")
-        self._now, self._rest = now, rest
+        self._now = now
+        self._rest = rest
         self._start: float | None = None
         self.late_s = self.skipped_s = 0.0
 
@@ -76,7 +77,8 @@ class WallClock:
             now = self._now()
         while now < due:
             now = self._now()
-        self.late_s, self.skipped_s = now - due, 0.0
+        self.late_s = now - due
+        self.skipped_s = 0.0
         if self.late_s > self._behind:
             self._start += self.late_s
             self.skipped_s = self.late_s

@@ -95,7 +95,8 @@ class Publisher(RunObserver, ABC, Generic[Process]):
 
     def _end(self) -> None:
         if self._process is not None:
-            process, self._process = self._process, None
+            process = self._process
+            self._process = None
             process.end()
             self.note = process.note()
 

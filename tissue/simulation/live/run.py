@@ -224,14 +224,21 @@ class LiveObserver(RunObserver):
     timing_columns = ("late_us", "skipped_us")
 
     def __init__(self, scene: Scene, mouse: MouseDevice | None, clock: WallClock, page: Page | None = None) -> None:
-        self._scene, self._mouse, self._clock, self._page = scene, mouse, clock, page
+        self._scene = scene
+        self._mouse = mouse
+        self._clock = clock
+        self._page = page
         self.reset = False
         self._window: WindowProcess | None = None
-        self._stopped, self._missed, self._skipped_s = False, 0, 0.0
+        self._stopped = False
+        self._missed = 0
+        self._skipped_s = 0.0
         self._events: list[tuple[float, str]] = []
         self._handler: Callable[[int, FrameType | None], object] | int | None = None
-        self._frames, self._drawn_s = -1, 0.0
-        self._start, self._scale = np.array(start_m(scene)), scene.coupling.motion_scale
+        self._frames = -1
+        self._drawn_s = 0.0
+        self._start = np.array(start_m(scene))
+        self._scale = scene.coupling.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from here on Ctrl-C ends the run after its tick."""
@@ -258,7 +265,8 @@ class LiveObserver(RunObserver):
 
     def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
         """Write lateness into a tick's row of timing and show the tick; whether the run goes on."""
-        late, skipped = 1e6 * self._clock.late_s, 1e6 * self._clock.skipped_s
+        late = 1e6 * self._clock.late_s
+        skipped = 1e6 * self._clock.skipped_s
         times[-2:] = late, skipped
         self._missed += times[0] + late > DEADLINE_US
         if skipped > 0.0:
@@ -291,7 +299,8 @@ class LiveObserver(RunObserver):
         """Let the run wait while its window draws nothing: nobody could see or move the tool."""
         began = now = perf_counter()
         if window.frames != self._frames:
-            self._frames, self._drawn_s = window.frames, now
+            self._frames = window.frames
+            self._drawn_s = now
         if now - self._drawn_s < STALLED_S:
             return
         while window.frames == self._frames and now - began < HELD_S and not self._stopped and not window.closed:
@@ -300,7 +309,8 @@ class LiveObserver(RunObserver):
             sleep(LOOK_S)
             now = perf_counter()
         self._clock.hold(now - began)
-        self._drawn_s, waited_s = now, now - began
+        self._drawn_s = now
+        waited_s = now - began
         if window.frames == self._frames and waited_s >= HELD_S:
             self._stopped = True
             self._events.append((index * TICK_S, f"the window drew nothing for {waited_s:.0f} s: the run ended"))

@@ -56,7 +56,8 @@ class SharedArrays:
         if layout is not None:
             (folder / "layout.json").write_text(json.dumps(layout), "utf-8")
         table: Layout = json.loads((folder / "layout.json").read_text("utf-8"))
-        places, end = {}, 0
+        places = {}
+        end = 0
         for name, (dtype, shape) in table.items():
             size = int(np.prod(shape)) * np.dtype(dtype).itemsize
             places[name] = (end, dtype, tuple(shape))
@@ -88,7 +89,8 @@ class SharedArrays:
 
     def read(self, name: str) -> tuple[int, NDArray[Any]] | None:
         """The number of an array's writes and a whole copy of it; None where a writer was busy, or died."""
-        turn, values = self._arrays[f"{name}_turn"], self._arrays[name]
+        turn = self._arrays[f"{name}_turn"]
+        values = self._arrays[name]
         for _ in range(TRIES):
             before = int(turn[0])
             copy = values.copy()
@@ -134,7 +136,8 @@ class BoneShared(SharedTissue):
         from kernels.bricks import BRICK  # with Warp, which a process that only reads does without
 
         store = milling.store
-        self._remaining, count = store.remaining, len(store.places)
+        self._remaining = store.remaining
+        count = len(store.places)
         self._left: NDArray[np.uint16] | None = store.remaining.numpy() if store.remaining.device.is_cpu else None
         self._slice = -(-count // TURN_TICKS)
         self._count = count
@@ -155,7 +158,8 @@ class BoneShared(SharedTissue):
 
     def publish(self, arrays: SharedArrays, index: int) -> None:
         """Copy the next slice; at first all of them."""
-        first, last = 0, self._count
+        first = 0
+        last = self._count
         if index > 0:
             first = self._slice * (index % TURN_TICKS)
             last = min(first + self._slice, self._count)
@@ -174,7 +178,8 @@ class OrganShared(SharedTissue):
     """
 
     def __init__(self, organ: Any) -> None:
-        self._organ, series = organ, organ.fields
+        self._organ = organ
+        series = organ.fields
         touchable = series.node_sets["touchable"]
         self.layout = {"moved": ("float32", (len(touchable), 3)), "moved_turn": ("int64", (1,))}
         self.start = {

@@ -103,8 +103,10 @@ class SlicerProcess(PublishingProcess):
             density = volume.density_kg_m3 * (volume.fraction / FULL)
             start["density_kg_m3"] = np.rint(density).astype(np.uint16)
         super().__init__(scene, parts, columns, low_m=low_m, high_m=high_m, more_layout=layout, more_start=start)
-        self._target_turn, self._taken = self.arrays["target_turn"], 0
-        self._events, self._events_count = self.arrays["events"], self.arrays["events_count"]
+        self._target_turn = self.arrays["target_turn"]
+        self._taken = 0
+        self._events = self.arrays["events"]
+        self._events_count = self.arrays["events_count"]
         self._ignored = "were no pose of a tool, or of a second client" if link.drives else "need --slicer-drives"
 
     def target(self) -> tuple[Triple, Quaternion] | None:
@@ -120,7 +122,8 @@ class SlicerProcess(PublishingProcess):
         """Send a sentence."""
         text = np.frombuffer(what.encode()[:EVENT_BYTES], dtype=np.uint8)
         slot = self._events[int(self._events_count[0]) % EVENTS]
-        slot[: len(text)], slot[len(text) :] = text, 0
+        slot[: len(text)] = text
+        slot[len(text) :] = 0
         self._events_count[0] += 1
 
     def note(self) -> str:
@@ -160,7 +163,8 @@ class SlicerPublisher(Publisher[SlicerProcess]):
         self._skipped_us = 0.0
 
     def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> SlicerProcess:
-        self._start, self._scale = parts.motion.sweep_m()[0], self._scene.coupling.motion_scale
+        self._start = parts.motion.sweep_m()[0]
+        self._scale = self._scene.coupling.motion_scale
         return SlicerProcess(self._scene, parts, columns, low_m=low_m, high_m=high_m, link=self._link)
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
@@ -179,7 +183,9 @@ class SlicerPublisher(Publisher[SlicerProcess]):
             self._mouse.push((x, y, z), wanted[1])
 
     def _show(self, process: SlicerProcess, index: int, row: Array, times: Array) -> None:
-        tick_us, late_us, skipped_us = float(times[0]), float(times[-2]), float(times[-1])
+        tick_us = float(times[0])
+        late_us = float(times[-2])
+        skipped_us = float(times[-1])
         self._missed += tick_us + late_us > DEADLINE_US
         self._skipped_us += skipped_us
         process.show(index, row, (tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us))

@@ -109,11 +109,14 @@ class WindowProcess:
         }
         self.arrays = SharedArrays(self._folder, layout | self._shared.layout | (more_layout or {}))
         self._row = np.zeros(len(columns) + len(CLOCK))
-        self._turn, self._closed = self.arrays["pointer_turn"], self.arrays["closed"]
+        self._turn = self.arrays["pointer_turn"]
+        self._closed = self.arrays["closed"]
         self._drawn, self._held, self._resets = (self.arrays[name] for name in ("frames", "paused", "resets"))
-        self._loads, self._count = self.arrays["loads"], self.arrays["loads_count"]
+        self._loads = self.arrays["loads"]
+        self._count = self.arrays["loads_count"]
         self._load = np.array([columns.index(name) for name in LOAD], dtype=np.intp)
-        self._seen, self._reset = 0, 0
+        self._seen = 0
+        self._reset = 0
         (self._folder / "scene.json").write_text(
             scene.model_dump_json(exclude_unset=True), "utf-8"
         )  # as it is, changed for the mouse
@@ -171,7 +174,8 @@ class WindowProcess:
         """Show another run of the same scene from its start."""
         self._shared = shared_tissue(parts)
         self._shared.publish(self.arrays, 0)
-        self._reset, self._seen = int(self._resets[0]), int(self._turn[0])
+        self._reset = int(self._resets[0])
+        self._seen = int(self._turn[0])
         self.arrays["runs"][0] += 1
 
     def failed(self) -> str | None:
@@ -189,7 +193,8 @@ class WindowProcess:
     def show(self, index: int, row: NDArray[np.float64], clock: tuple[float, float, float, float]) -> None:
         """Send a tick's row of the trace and of the clock, see `CLOCK`."""
         if index % ROW_TICKS == 0:
-            self._row[: len(row)], self._row[len(row) :] = row, clock
+            self._row[: len(row)] = row
+            self._row[len(row) :] = clock
             self.arrays.write("row", self._row)
             np.take(row, self._load, out=self._loads[self._count[0] % LOADS])
             self._count[0] += 1
