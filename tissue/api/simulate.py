@@ -1,4 +1,4 @@
-"""The one way to run a scene: `tissue.simulate`, which `tissue run` calls too."""
+"""Simulate a scene: `tissue.simulate`, which `tissue run` calls too."""
 
 from collections.abc import Callable
 from pathlib import Path
