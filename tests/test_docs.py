@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tissue.cli.main import app
-from tissue.environments.registration import IDS
+from tissue.environments import IDS
 from tissue.scene.load import load_scene, parse_override
 
 ROOT = Path(__file__).resolve().parents[1]

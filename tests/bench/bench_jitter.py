@@ -18,9 +18,9 @@ import numpy as np  # noqa: E402
 from harness import machine, table  # noqa: E402
 
 from tissue import load_scene, simulate  # noqa: E402
-from tissue.simulation.live.clock import WallClock  # noqa: E402
-from tissue.simulation.live.prioritised import Prioritised  # noqa: E402
+from tissue.simulation.live.clock import Prioritised, WallClock  # noqa: E402
 from tissue.simulation.live.run import LiveObserver  # noqa: E402
+from tissue.simulation.observer import Observers  # noqa: E402
 from tissue.simulation.simulate import TICK_S  # noqa: E402
 
 TURN_S = 10.0
@@ -35,14 +35,19 @@ def ticks_of(name, raised, loaded):
     try:
         scene = load_scene(name, {"duration_s": TURN_S})
         observer = LiveObserver(scene, None, WallClock(TICK_S))
-        along = Prioritised(observer) if raised else observer
-        run = simulate(scene, observer=along)
+        prioritised = Prioritised()
+        run = simulate(scene, observer=Observers(prioritised, observer) if raised else observer)
     finally:
         for process in busy:
             process.kill()
             process.wait()
     timing = run.timing
-    return timing["late_us"], timing["tick_us"], 1e-3 * timing["skipped_us"].sum(), along.note if raised else ORDINARY
+    return (
+        timing["late_us"],
+        timing["tick_us"],
+        1e-3 * timing["skipped_us"].sum(),
+        prioritised.note if raised else ORDINARY,
+    )
 
 
 def main():

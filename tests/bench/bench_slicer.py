@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT))
 import numpy as np  # noqa: E402
 
 from tissue import load_scene  # noqa: E402
-from tissue.simulation.live.run import live  # noqa: E402
+from tissue.simulation.live.run import LiveSettings, live  # noqa: E402
 from tissue.simulation.live.slicer import SlicerLink, SlicerProcess  # noqa: E402
 
 SCENES = {"wall": 2.0, "milling": 3.0, "liver-press": 2.0}
@@ -91,7 +91,7 @@ def main():
             for kind, timings in found.items():
                 reader = Reader() if kind == "a client" else None
                 link = None if kind == "none" else SlicerLink(port=0, opened=reader)
-                run = live(load_scene(name, {"duration_s": duration_s}), slicer=link)
+                run = live(load_scene(name, {"duration_s": duration_s}), LiveSettings(slicer=link))
                 timings.append(np.column_stack([run.timing["tick_us"], run.timing["late_us"]]))
                 if reader is not None:
                     counted = reader.read()

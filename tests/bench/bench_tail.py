@@ -19,6 +19,7 @@ from harness import machine, table
 from kernels.cores import CoreThreads, current_core
 from tissue.scene.load import load_scene, parse_override
 from tissue.scene.scene import Scene
+from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import DEADLINE_US, Run
 from tissue.simulation.simulate import simulate
 from tissue.system.background_priority import BackgroundPriority
@@ -29,20 +30,12 @@ SPUN_S = 0.3
 HEAD = ("scene", "variant", "median", "99 %", "missed", "expected gaps", "missed / gaps", "split of large")
 
 
-class Pinned:
+class Pinned(RunObserver):
     """Goes along with a run and keeps its ticks on the core on which they begin."""
-
-    timing_columns: tuple[str, ...] = ()
 
     def on_begin(self, parts: Any, columns: tuple[str, ...]) -> None:
         self._allowed = os.sched_getaffinity(0)
         os.sched_setaffinity(0, {current_core()})
-
-    def before_tick(self, index: int) -> None:
-        pass
-
-    def on_tick(self, index: int, row: np.ndarray, times: np.ndarray) -> bool:
-        return True
 
     def on_end(self) -> list[tuple[float, str]]:
         os.sched_setaffinity(0, self._allowed)

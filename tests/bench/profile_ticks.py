@@ -22,6 +22,7 @@ from tissue.evaluation.charts.measure import excerpt
 from tissue.evaluation.charts.settings import by_hand
 from tissue.scene.load import changed, load_scene, scene_names
 from tissue.scene.scene import Scene
+from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import simulate
 from tissue.simulation.trace import TIMING_COLUMNS
@@ -32,10 +33,8 @@ ADDED_RUNS, GAP_US = 3, 200.0
 HANDED = {"prediction": "koopman-look-ahead", "perception": "population"}
 
 
-class Profiled:
+class Profiled(RunObserver):
     """Goes along with a run and profiles its ticks from the first contact on."""
-
-    timing_columns: tuple[str, ...] = ()
 
     def __init__(self) -> None:
         self.profile, self.ticks, self._contact = cProfile.Profile(), 0, 0
@@ -86,10 +85,8 @@ def deepest(scene: Scene) -> list[tuple[str, float, float]]:
     ]
 
 
-class Clocked:
+class Clocked(RunObserver):
     """Goes along with a run and takes the processor time of its ticks, and of the simulated device and hand within [us]."""
-
-    timing_columns: tuple[str, ...] = ()
 
     def __init__(self) -> None:
         self.ticks_us: list[float] = []
@@ -108,9 +105,6 @@ class Clocked:
         self.ticks_us.append(1e6 * (thread_time() - self._start_s))
         self.device_us.append(1e6 * self._device_s)
         return True
-
-    def on_end(self) -> list[tuple[float, str]]:
-        return []
 
     def _timed(self, read: Any) -> Any:
         def timed(time_s: float) -> Any:

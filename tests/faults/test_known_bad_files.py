@@ -217,7 +217,7 @@ def test_forces_below_the_least_are_zero(monkeypatch):
     assert LEAST_LOAD == 1e-12
     scene = load_scene("milling", {"voxels.spacing_mm": 0.8, "duration_s": 0.3, "motion.feed_mm_s": 40.0})
     plain = simulate(scene).trace
-    monkeypatch.setattr("tissue.simulation.tick.LEAST_LOAD", 1.0)
+    monkeypatch.setattr("tissue.simulation.loop.LEAST_LOAD", 1.0)
     cleared = simulate(scene).trace
     names = [name for name in plain if name.endswith(("_N", "_Nm"))]
     before, after = (np.array([trace[name] for name in names]) for trace in (plain, cleared))

@@ -12,6 +12,7 @@ import psutil
 import pytest
 
 from tissue import InputError, load_scene, simulate
+from tissue.simulation.observer import RunObserver
 from tissue.simulation.run_folder import RunFolder, SavedRun
 from tissue.system.outputs import OutputLock, identity, is_alive, output_locked
 from tissue.system.stopping import Terminated, terminated_as_exception
@@ -126,21 +127,10 @@ def test_a_run_is_running_complete_failed_or_interrupted(tmp_path):
 )
 @pytest.mark.parametrize("when", ["ticks", "saving"])
 def test_what_ends_a_run_is_in_its_summary_and_its_trace_is_kept(tmp_path, monkeypatch, error, status, problem, when):
-    class Ends:
-        timing_columns = ()
-
-        def on_begin(self, parts, columns):
-            pass
-
+    class Ends(RunObserver):
         def before_tick(self, index):
             if index == 7 and when == "ticks":
                 raise error
-
-        def on_tick(self, index, row, times):
-            return True
-
-        def on_end(self):
-            return []
 
     def fail(*_):
         raise error

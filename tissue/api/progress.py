@@ -58,7 +58,8 @@ def _notebook_bar() -> Iterator[Progress]:
     """A bar of plain HTML, which needs no widgets, in the output of the cell that runs; it goes when it is done."""
     from IPython import display
 
-    begun_s, shown_s = perf_counter(), 0.0
+    begun_s = perf_counter()
+    shown_s = 0.0
     handle: Any = display.display(display.HTML(""), display_id=True)
 
     def report(doing: str, share: float) -> None:

@@ -1,21 +1,27 @@
-"""A run as a person holds it: simulated just now or read back from its folder, with the same interface."""
+"""A run with its plots, 3D view and bands: `tissue.Run`."""
 
 from collections.abc import Iterable
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.progress import Progress
 from tissue.api.html import run_html, run_line
 from tissue.api.progress import Bar, reporting
-from tissue.api.run_data import RunData
-from tissue.api.saved_folder import SavedFolder
+from tissue.api.trace import Trace
+from tissue.simulation import run as engine
+from tissue.simulation.run_folder import picture_format
+from tissue.simulation.run_summary import Summary, summary_of
 
 if TYPE_CHECKING:
     import pandas
+    import pyvista
     import xarray
     from matplotlib.axes import Axes
 
@@ -24,22 +30,105 @@ if TYPE_CHECKING:
 __all__ = ["Run", "open_run"]
 
 
-class Run(RunData):
-    """A run: what `tissue.simulate` returns, and `tissue.open_run` reads back.
+class Run(engine.Run):
+    """A run, as `tissue.simulate` returns it and `Run.load` reads it back.
 
     Parameters
     ----------
-    held
-        The engine's run, or a run's folder.
+    simulated
+        Run of the engine.
 
     Attributes
     ----------
     path
-        Folder in which the run lies; None of one that was not saved yet.
+        Folder of the run; None before it is saved.
     """
 
+    _band: "Band | None" = None
+    _shown: "TemporaryDirectory[str] | None" = None
+
+    def __init__(self, simulated: engine.Run) -> None:
+        vars(self).update(vars(simulated))
+        self.trace = Trace(simulated.trace)
+        self.timing = Trace(simulated.timing)
+
+    @cached_property
+    def trace(self) -> Trace:
+        """One row a tick, columns by name: ``run.trace["force_z_N"]``."""
+        return Trace(super().trace)
+
+    @cached_property
+    def timing(self) -> Trace:
+        """Duration of each tick and of its stages [µs], columns by name: ``run.timing["tick_us"]``."""
+        return Trace(super().timing)
+
+    @property
+    def summary(self) -> Summary:
+        """Figures of the run, as in ``summary.json``: volumes by layer, forces, cost of the ticks, the band."""
+        return super().summary | ({} if self._band is None else {"band": self._band.summary})
+
+    def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
+        """Return the tissue as a pyvista data set, in the scene's frame in mm.
+
+        Voxels: an image with the cell arrays start and remaining (255 = full), layer, density_kg_m3. Those that are
+        less than half full are hidden by the cell array ``vtkGhostType``, so that ``run.dataset().plot()`` shows the
+        bone. Elements: the mesh of the last frame with its fields.
+
+        Raises
+        ------
+        InputError
+            If the tissue has neither.
+        """
+        from tissue.api.show import with_empty_hidden
+
+        return with_empty_hidden(super().dataset())
+
+    def surface(self) -> "pyvista.PolyData":
+        """Return the surface of the carved bone [mm]: point array ``removed_depth_mm``, cell array ``layer``.
+
+        Raises
+        ------
+        InputError
+            If the tissue has no voxels.
+        """
+        from tissue.simulation.bone_files import carved_surface
+
+        return carved_surface(self)
+
+    def save(
+        self,
+        out: str | Path,
+        *,
+        formats: Iterable[str] = (),
+        pictures: bool | str = True,
+        overwrite: bool = False,
+        progress: Progress | None = None,
+    ) -> Path:
+        """Write the run's folder and its band; see `tissue.simulation.run.Run.save`."""
+        self.path = super().save(out, formats=formats, pictures=pictures, overwrite=overwrite, progress=progress)
+        self._save_band(pictures)
+        return self.path
+
+    def _save_band(self, pictures: bool | str) -> None:
+        """Write the band into the run's folder, if there are both."""
+        if self._band is not None and self.path is not None:
+            from tissue.uncertainty.band_files import save_band
+
+            save_band(self._band, self.path, kind=picture_format(pictures))
+
+    def _folder(self) -> Path:
+        """Return a folder with this run's files: its own, or a temporary one if that holds another run by now."""
+        if self._saved is not None:
+            return self._saved.path
+        if self.path is not None and summary_of(self.path) == self.summary:
+            return self.path
+        if self._shown is None:
+            self._shown = TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True)
+            super().save(self._shown.name, pictures=False)
+        return Path(self._shown.name)
+
     def plot(self, columns: Iterable[str] | None = None, *, ax: "Axes | None" = None) -> "NDArray[np.object_]":
-        """Draw columns of the trace over time, by default force and torque on the tool, with the run's events.
+        """Plot columns of the trace over time, by default force and torque on the tool, with the run's events.
 
         Parameters
         ----------
@@ -118,17 +207,17 @@ class Run(RunData):
         pictures: bool | str = True,
         progress: Bar = None,
     ) -> "Band":
-        """Loads and figures over the ranges of the constants, and which constant matters; see docs/guide/bands.md.
+        """Compute loads and figures over the ranges of the constants; see docs/guide/bands.md.
 
         Parameters
         ----------
         samples
-            Samples of the constants, rounded up to a power of two; without it the band that was made before is read.
+            Samples of the constants, rounded up to a power of two; None reads the band that was computed before.
         seed
-            Seed of the samples; that of the scene without it.
+            Seed of the samples; default that of the scene.
         workers
-            Processes that run samples beside each other, where each is a run of its own, as a needle's is. A script
-            that asks for several must begin below ``if __name__ == "__main__":``.
+            Processes that run samples in parallel, if each sample is a run, as for a needle. A script that asks for
+            several must begin below ``if __name__ == "__main__":``.
         scheduler
             Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, whose workers run samples instead.
         each_run
@@ -166,13 +255,13 @@ class Run(RunData):
         return made
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """The trace, a row a tick; the scene's name is in its ``attrs``. See `Trace.to_pandas`."""
+        """Return the trace, a row a tick, with the scene's name in ``attrs``; see `Trace.to_pandas`."""
         table = self.trace.to_pandas()
         table.attrs["scene"] = self.scene.name
         return table
 
     def to_xarray(self) -> "xarray.Dataset":
-        """The trace over the dimension ``time_s``; the scene's name is in its ``attrs``. See `Trace.to_xarray`."""
+        """Return the trace over ``time_s``, with the scene's name in ``attrs``; see `Trace.to_xarray`."""
         return self.trace.to_xarray().assign_attrs(scene=self.scene.name)
 
     @property
@@ -190,16 +279,5 @@ class Run(RunData):
 
 
 def open_run(path: str | Path) -> Run:
-    """Read a run back from the folder that it was saved to.
-
-    Parameters
-    ----------
-    path
-        Folder of a run, of one that was stopped, too.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no run, one of another version, or a damaged one.
-    """
-    return Run(SavedFolder(path))
+    """Read a run back from its folder; the same as `Run.load`."""
+    return Run.load(path)

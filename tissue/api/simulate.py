@@ -1,73 +1,25 @@
-"""The calls that `import tissue` offers: the engine's, with a demand on fidelity met first and pictures drawn."""
+"""Simulate a scene: `tissue.simulate`, which `tissue run` calls too."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import memory_limit
 from tissue.api.progress import Bar, reporting
 from tissue.api.run import Run
 from tissue.builders.device import opened_device
-from tissue.builders.parts import Parts
 from tissue.figures.pictures import draw_pictures
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import require_used
 from tissue.simulation import simulate as engine
-from tissue.simulation.live.paced import Paced
-from tissue.simulation.live.prioritised import Prioritised
+from tissue.simulation.live.clock import Paced, Prioritised
+from tissue.simulation.live.run import LiveSettings
+from tissue.simulation.live.run import live as simulate_live
+from tissue.simulation.observer import Observers, OnTick, RunObserver, TickRow
 
 __all__ = ["TickRow", "simulate"]
-
-
-class TickRow(Mapping[str, float]):
-    """A tick's row of the trace by its columns, such as ``row["model_force_z_N"]``.
-
-    It is the same object in every tick, and shows the present one; ``dict(row)`` keeps it.
-    """
-
-    def __init__(self, columns: tuple[str, ...]) -> None:
-        self._places = {name: place for place, name in enumerate(columns)}
-        self.values_of_tick: NDArray[np.float64] = np.zeros(len(columns))
-
-    def __getitem__(self, name: str) -> float:
-        return float(self.values_of_tick[self._places[name]])
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
-
-    def __len__(self) -> int:
-        return len(self._places)
-
-
-class Calls:
-    """Goes along with the ticks of a run and calls a function in each."""
-
-    timing_columns: tuple[str, ...] = ()
-
-    def __init__(self, on_tick: Callable[[int, TickRow], object]) -> None:
-        self._call = on_tick
-        self._row = TickRow(())
-
-    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Take the names of the columns."""
-        self._row = TickRow(columns)
-
-    def before_tick(self, index: int) -> None:
-        """Wait for nothing."""
-
-    def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
-        """Call the function; the run goes on unless it returns False."""
-        self._row.values_of_tick = row
-        return self._call(index, self._row) is not False
-
-    def on_end(self) -> list[tuple[float, str]]:
-        """Nothing has happened."""
-        return []
 
 
 def simulate(
@@ -83,14 +35,15 @@ def simulate(
     max_memory_GB: float | None = None,
     device: Device | SafeDevice | None = None,
     on_tick: Callable[[int, TickRow], object] | None = None,
-    observer: engine.RunObserver | None = None,
+    observer: RunObserver | None = None,
+    live: LiveSettings | None = None,
 ) -> Run:
-    """Simulate a scene, at the settings that its demand on fidelity asks for.
+    """Simulate a scene, with the settings that meet its demand on fidelity.
 
     Parameters
     ----------
     scene
-        What to simulate.
+        Scene to simulate.
     compute
         Warp device, ``cpu`` or ``cuda:0``.
     cores
@@ -101,20 +54,21 @@ def simulate(
     overwrite
         Replace a run that ``out`` already holds.
     progress
-        Whether a bar is shown, in a notebook or a terminal, or what is called with what is being done and its share;
-        without it a notebook shows a bar.
+        Whether to show a bar, or a function called with the present work and its share; default a bar in a notebook.
     allow_unstable
         Run a device whose coupling is judged unstable, too.
     max_memory_GB
         Memory that a file of the scene may take [GB]; default half of the free memory.
     device
-        Device to read and to play instead of the one that the scene names, by whose limits it is judged; without it a
-        simulated one, or what was registered opens. See `tissue.simulation.simulate.simulate` for how it is held.
+        Device that is used instead of the one that the scene names, within the limits of that one; default a simulated
+        device or a registered real one. See `tissue.simulation.simulate.simulate`.
     on_tick
         Called after every tick of 1 ms with its number and its row of the trace, a mapping from column to value; the
-        run ends where it returns False. It is called between two ticks, so that what it takes is added to them.
+        run ends where it returns False. Its duration adds to the time between two ticks.
     observer
-        Goes along with the ticks, in place of `on_tick`; see `tissue.simulation.simulate.RunObserver`.
+        Observer of the ticks instead of `on_tick`; see `tissue.simulation.observer.RunObserver`.
+    live
+        Run against the wall clock, in a window, a browser or by a device, with these settings.
 
     Raises
     ------
@@ -124,33 +78,34 @@ def simulate(
     """
     if on_tick is not None and observer is not None:
         raise InputError("on_tick must be left out with observer, got both: call it from the observer's on_tick")
-    chosen: dict[str, str] = {}
+    if live is not None and any(each is not None for each in (on_tick, observer, device)):
+        raise InputError("live must be left out with a device, on_tick or observer, got both: leave one of them out")
+    if on_tick is not None:
+        observer = OnTick(on_tick)
+    notes: dict[str, str] = {}
     with memory_limit(max_memory_GB), reporting(progress) as report:
+        settings: engine.RunSettings = {
+            "compute": compute, "cores": cores, "out": out, "overwrite": overwrite, "progress": report,
+            "allow_unstable": allow_unstable,
+        }  # fmt: skip
         if scene.fidelity is not None:
             from tissue.evaluation.charts.fidelity import with_fidelity
 
-            require_used(scene)
-            scene, chosen["fidelity"] = with_fidelity(scene, report=report)
-        opened = opened_device(scene) if device is None else None
-        if opened is not None:
-            chosen["device"] = f"{scene.device} is read and played by {type(opened).__name__}"
-        held = opened if device is None else device
-        observer, raised = observer if on_tick is None else Calls(on_tick), None
-        if getattr(held.device if isinstance(held, SafeDevice) else held, "real_time", False):
-            observer = raised = Prioritised(Paced(observer))
-        run = engine.simulate(
-            scene,
-            compute=compute,
-            cores=cores,
-            out=out,
-            overwrite=overwrite,
-            progress=report,
-            allow_unstable=allow_unstable,
-            device=held,
-            observer=observer,
-        )
-    if raised is not None:
-        chosen["priority"] = raised.note
-    run.parts.notes |= chosen
+            if live is None:
+                require_used(scene)
+            scene, notes["fidelity"] = with_fidelity(scene, report=report)
+        if live is not None:
+            run = simulate_live(scene, live, **settings)
+        else:
+            if device is None and (device := opened_device(scene)) is not None:
+                notes["device"] = f"{scene.device} is read and played by {type(device).__name__}"
+            if getattr(device.device if isinstance(device, SafeDevice) else device, "real_time", False):
+                prioritised = Prioritised()
+                observer = Observers(prioritised, observer or RunObserver(), Paced())
+                run = engine.simulate(scene, device=device, observer=observer, **settings)
+                notes["priority"] = prioritised.note
+            else:
+                run = engine.simulate(scene, device=device, observer=observer, **settings)
+    run.parts.notes |= notes
     run.draw = draw_pictures
     return Run(run)

@@ -1,29 +1,29 @@
-"""What came of a sweep: a table, the runs beside each other, and each figure over what was swept."""
+"""The runs of a sweep as a table, as plots and as a comparison."""
 
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tissue.api.comparison import Comparison
 from tissue.api.html import figures_of, table_html
-from tissue.api.run import Run, open_run
+from tissue.api.run import Run
 from tissue.api.tables import write_table
 from tissue.api.trace import needed
 from tissue.evaluation.same_task import path_note
+from tissue.scene.scene import Scene
 from tissue.simulation.run_summary import read_summary
 
 if TYPE_CHECKING:
-    import numpy as np
     import pandas
-    from numpy.typing import NDArray
 
 __all__ = ["Sweep", "SweptRun"]
 
-FILES = ("sweep.csv", "sweep.png", "compare.png")
-"""Names of the files of a sweep, without its runs."""
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
-"""Figures of a table to read; all of them are in the file."""
+"""Figures of the printed table; the file has all figures."""
 
 
 @dataclass(frozen=True)
@@ -33,33 +33,36 @@ class SweptRun:
     Attributes
     ----------
     name
-        Name of its folder.
+        Name of its folder, by the swept keys.
     values
         Values of the swept keys.
     path
-        Its folder.
+        Folder of the run.
     problem
-        Why it did not come to its end; empty where it did.
+        Error that ended it or makes its scene invalid; empty for a finished run.
+    scene
+        Scene; None if the values make none.
     """
 
     name: str
     values: dict[str, object]
     path: Path
-    problem: str
+    problem: str = ""
+    scene: Scene | None = None
 
     @cached_property
     def figures(self) -> dict[str, float]:
-        """Its figures, by names with units; none of a run that has a problem."""
+        """Figures of the run by names with units; empty for a run with a problem."""
         return {} if self.problem else figures_of(read_summary(self.path))
 
     @cached_property
     def note(self) -> str:
-        """Why it did not finish its path; empty where it did or has a problem."""
+        """Reason why the run did not finish its path; empty if it did, or for a run with a problem."""
         return "" if self.problem else path_note(read_summary(self.path))
 
     def open(self) -> Run:
-        """The run, read back."""
-        return open_run(self.path)
+        """Read the run back."""
+        return Run.load(self.path)
 
 
 class Sweep:
@@ -70,75 +73,67 @@ class Sweep:
     keys
         Keys that were swept.
     runs
-        All runs, those with a problem included.
+        All runs, with those that have a problem.
     """
 
     def __init__(self, keys: list[str], runs: list[SweptRun]) -> None:
-        self.keys, self.runs = keys, runs
+        self.keys = keys
+        self.runs = runs
 
     @property
     def finished(self) -> list[SweptRun]:
-        """Runs that came to their end."""
+        """Runs without a problem."""
         return [each for each in self.runs if not each.problem]
 
     @property
     def failures(self) -> dict[str, str]:
-        """What went wrong, by run."""
+        """Problems by run."""
         return {each.name: each.problem for each in self.runs if each.problem}
 
     @property
     def notes(self) -> dict[str, str]:
-        """Why runs did not finish their paths, by run."""
+        """Reasons why runs did not finish their paths, by run."""
         return {each.name: f"the path is {each.note}" for each in self.runs if each.note}
 
     @property
     def figure_names(self) -> list[str]:
-        """Figures that the runs have, the unit in each name."""
+        """Names of the figures that the runs have, with units."""
         return list(dict.fromkeys(name for each in self.runs for name in each.figures))
 
     def rows(self) -> tuple[list[str], list[list[object]]]:
-        """Titles and rows: the values, the figures, the problem, the folder and the note of each run."""
+        """Return titles and rows: the values, the figures, the problem, the folder and the note of each run."""
         names = self.figure_names
-        rows = [
-            [
-                *(each.values[key] for key in self.keys),
-                *(each.figures.get(name) for name in names),
-                each.problem,
-                each.name,
-                each.note,
-            ]
-            for each in self.runs
-        ]
+        rows = []
+        for each in self.runs:
+            figures = [each.figures.get(name) for name in names]
+            rows.append([*each.values.values(), *figures, each.problem, each.name, each.note])
         return [*self.keys, *names, "problem", "run", "note"], rows
 
-    def to_pandas(self) -> "pandas.DataFrame":
-        """The table of `rows`.
+    def texts(self) -> tuple[list[str], list[list[str]]]:
+        """Return titles and rows of a short table: the values and the first figures."""
+        names = [name for name in FIRST_FIGURES if name in self.figure_names]
+        rows = []
+        for each in self.runs:
+            figures = [f"{each.figures[name]:.4g}" if name in each.figures else "" for name in names]
+            rows.append([*map(str, each.values.values()), *figures])
+        return [*(key.rpartition(".")[2] for key in self.keys), *names], rows
 
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Return the table of `rows`; raises `InputError` if pandas is not installed."""
         titles, rows = self.rows()
         return needed("pandas", extra="pandas").DataFrame(rows, columns=titles)
 
     def compare(self) -> Comparison:
-        """The finished runs beside each other.
-
-        Raises
-        ------
-        InputError
-            If there are fewer than two.
-        """
+        """Compare the finished runs; raises `InputError` if there are fewer than two."""
         return Comparison({each.name: each.open() for each in self.finished})
 
-    def plot(self, figures: list[str] | None = None) -> "NDArray[np.object_]":
-        """Draw figures over the first swept key, a line for each value of the second.
+    def plot(self, figures: list[str] | None = None) -> NDArray[np.object_]:
+        """Plot figures over the first swept key, with a line for each value of the second.
 
         Parameters
         ----------
         figures
-            Some of `figure_names`; without it those that differ among the runs.
+            Some of `figure_names`; default those that differ among the runs.
 
         Returns
         -------
@@ -147,49 +142,36 @@ class Sweep:
         Raises
         ------
         InputError
-            If there is nothing to draw, or not one or two keys were swept.
+            If there is nothing to plot, or not one or two keys were swept.
         """
         from tissue.api.plots import draw_figures
 
         return draw_figures(self, figures)
 
-    def write(self, out: Path) -> list[Path]:
-        """Write ``sweep.csv``, and where there is more than one finished run ``compare.png`` and ``sweep.png``."""
+    def write(self, out: Path) -> None:
+        """Write ``sweep.csv``, and with several finished runs ``compare.png`` and ``sweep.png``."""
         from matplotlib import pyplot
 
         from tissue.api.plots import can_be_drawn
         from tissue.figures.figure import save
 
         write_table(out / "sweep.csv", *self.rows())
-        written = [out / "sweep.csv"]
-        pictures = {"compare.png": lambda: self.compare().plot()} if len(self.finished) > 1 else {}
+        pictures = {}
+        if len(self.finished) > 1:
+            pictures["compare.png"] = self.compare().plot()
         if can_be_drawn(self):
-            pictures["sweep.png"] = self.plot
-        for name, draw in pictures.items():
-            panels = draw()
+            pictures["sweep.png"] = self.plot()
+        for name, panels in pictures.items():
             save(panels[0].figure, out / name)
             pyplot.close(panels[0].figure)
-            written.append(out / name)
-        return written
-
-    def texts(self) -> tuple[list[str], list[list[str]]]:
-        """Titles and rows of a table to read: the values, and the figures that one looks at first."""
-        names = [name for name in FIRST_FIGURES if name in self.figure_names]
-        rows = [
-            [*(str(each.values[key]) for key in self.keys), *(_number(each.figures.get(name)) for name in names)]
-            for each in self.runs
-        ]
-        return [*(key.rpartition(".")[2] for key in self.keys), *names], rows
 
     def __repr__(self) -> str:
         return f"<sweep of {' and '.join(self.keys)}: {len(self.finished)} of {len(self.runs)} runs finished>"
 
     def _repr_html_(self) -> str:
         titles, rows = self.texts()
-        failures = table_html(self.failures.items(), titles=("run", "problem")) if self.failures else ""
-        failures += table_html(self.notes.items(), titles=("run", "note")) if self.notes else ""
-        return f"<div>{table_html(rows, titles=titles, caption=repr(self).strip('<>'))}{failures}</div>"
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}"
+        shown = table_html(rows, titles=titles, caption=repr(self).strip("<>"))
+        for title, texts in (("problem", self.failures), ("note", self.notes)):
+            if texts:
+                shown += table_html(texts.items(), titles=("run", title))
+        return f"<div>{shown}</div>"

@@ -10,7 +10,7 @@ from meshes.base.arrays import Array
 from tissue.builders.loop import judged_loops, lead_ticks
 from tissue.builders.loop_settings import LoopSettings
 from tissue.haptics.device.device import Device
-from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.hand_motion import HandMotion, Rendering, Script
 from tissue.haptics.loop.cues import Cues
 from tissue.haptics.loop.vibration import PlayedVibration
 from tissue.haptics.played_force import PlayedForce
@@ -86,28 +86,25 @@ def device_motion(
     turn = HeldTurn(turning.loop.stiffness_N_m * scale / force_scale if turning else inf)
     tool = _tool(settings, spring, scripted.sweep_m()[0], turn)
     felt = settings.perception(rng)
-    motion = HandMotion(
-        device(tool, judged.loop.stiffness_N_m),
-        tool,
-        renderer(settings.renderer, in_ticks),
-        scripted=scripted,
-        limits=limits,
+    turning_law = None
+    if turning:
+        turning_law = TurningRenderer(renderer(settings.renderer, replace(turning.loop, tick_s=TICK_S)))
+    rendering = Rendering(
+        law=renderer(settings.renderer, in_ticks),
         loop=loop,
-        delay_ticks=chosen.delay_ms,
-        turning_law=TurningRenderer(renderer(settings.renderer, replace(turning.loop, tick_s=TICK_S)))
-        if turning
-        else None,
-        motion_scale=scale,
         margin=judged.verdict.margin,
-        stray_m=stray_m,
-        after_s=after_s,
+        turning_law=turning_law,
+        delay_ticks=chosen.delay_ms,
         model_ticks=chosen.model_ms,
         predictor=settings.predictor(),
         lead_ticks=lead_ticks(settings),
         prediction_gain=chosen.prediction_gain,
         played=_played(settings, felt),
-        device_origin_m=device_origin_m,
     )
+    script = Script(
+        motion=scripted, motion_scale=scale, stray_m=stray_m, after_s=after_s, device_origin_m=device_origin_m
+    )
+    motion = HandMotion(device(tool, judged.loop.stiffness_N_m), tool, limits, rendering, script)
     notes = [judged.sentence(), f"{force_scale:g} N at the device for each newton at the tool{scale_note}"]
     if turning:
         notes.insert(1, turning.sentence())

@@ -81,7 +81,8 @@ def calibrate(
     from tissue.evaluation.calibration.session import Plan
 
     device = device or "mouse"
-    target, name = out or Path("observer.json"), observer or f"person on {device}"
+    target = out or Path("observer.json")
+    name = observer or f"person on {device}"
     answer, limit_N = questioner(observer, device, seed=seed, read=input, show=_show)
     plan = Plan(seed=seed, trials=TRIALS if trials is None else trials,
                 numbers=NUMBERS if numbers is None else numbers, force_limit_N=limit_N)  # fmt: skip

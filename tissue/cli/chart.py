@@ -47,7 +47,8 @@ def chart(
     match what:
         case ["prediction", *scenes]:
             left_out("with prediction", "remove it", quick=quick, observer=observer)
-            folder, runs = out or Path("charts/prediction"), TRIALS if trials is None else trials
+            folder = out or Path("charts/prediction")
+            runs = TRIALS if trials is None else trials
             _prediction(scenes or list(TASKS), folder, trials=runs, overwrite=overwrite)
         case ["perception"]:
             left_out("with perception", "remove it", quick=quick, trials=trials)

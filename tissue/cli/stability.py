@@ -78,7 +78,8 @@ def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
     for entry in entries:
         mark = "ok " if entry.shown else "OPEN"
         console.print(f"{mark:4} {entry.page.name:19} {entry.took_s:5.1f} s  {entry.page.title}")
-    good, seconds = sum(entry.shown for entry in entries), sum(entry.took_s for entry in entries)
+    good = sum(entry.shown for entry in entries)
+    seconds = sum(entry.took_s for entry in entries)
     console.print(
         f"{good} of {len(entries)} pages show their boundary with the engine holding, falling back or refusing; "
         f"{seconds:.0f} s; open {folder / 'index.html'}")  # fmt: skip

@@ -54,7 +54,8 @@ def train(
 
         found = trained_on(loaded, trials=trials, cores=cores, progress=report)
         found.write(path, overwrite=overwrite)
-    facts, checked = found.facts, found.facts["validation"]
+    facts = found.facts
+    checked = found.facts["validation"]
     errors = {kind: sum(each) for kind, each in checked["errors"].items() if PREDICTORS[kind].trained}
     best = min(errors, key=lambda kind: errors[kind])
     lines = [

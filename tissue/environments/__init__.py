@@ -8,21 +8,42 @@ entry points since version 1.0.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from tissue.environments.registration import register_environments
+from meshes.base.errors import InputError
 
 if TYPE_CHECKING:
     from tissue.environments.drilling import Drilling
     from tissue.environments.milling import Milling
     from tissue.environments.palpation import Palpation
 
-__all__ = ["Drilling", "Milling", "Palpation", "register_environments"]
+__all__ = ["IDS", "Drilling", "Milling", "Palpation", "register_environments"]
 
-_HOMES = {name: f"tissue.environments.{name.lower()}" for name in ("Drilling", "Milling", "Palpation")}
+NAMES = ("Drilling", "Milling", "Palpation")
+IDS = {f"tissue/{name}-v0": f"tissue.environments.{name.lower()}:{name}" for name in NAMES}
+"""Class of each environment by its name in gymnasium; imported when the first is made."""
+
+
+def register_environments() -> None:
+    """Register the environments with gymnasium, once.
+
+    Raises
+    ------
+    InputError
+        If gymnasium is not installed.
+    """
+    try:
+        from gymnasium.envs.registration import register, registry
+    except ImportError:
+        raise InputError(
+            "gymnasium must be installed for environments, got none: pip install 'tissue-sim[rl]'"
+        ) from None
+    for name, place in IDS.items():
+        if name not in registry:
+            register(name, entry_point=place)
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
+    if name in NAMES:
+        return getattr(import_module(f"tissue.environments.{name.lower()}"), name)
     raise AttributeError(f"module 'tissue.environments' has no attribute {name!r}")
 
 

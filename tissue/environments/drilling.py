@@ -14,6 +14,7 @@ from meshes.voxels.voxelise import voxelise
 from tissue.cutters import ball_burr
 from tissue.environments.environment import ContactEnvironment, Entry
 from tissue.environments.restorable_bone import RestorableBone
+from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.thrust import SpeedSearch, implicit_speed
 
@@ -83,14 +84,15 @@ class Drilling(ContactEnvironment):
     usual_duration_s = 5.0
     usual_force_limit_N = 2.0
     thrust_N = 3.0
+    balances = True
 
     def __init__(self, *, materials: str | PathLike[str] | None = None, **options: Any) -> None:
         super().__init__(**options)
         self._materials = materials
-        self.motion = ToolMotion()
         self.surface_m = self.wanted_m = self._speed = self._deepest_m = 0.0
+        self._before = self._thrust = self._top_m = 0.0
+        self._searches = False
         self._search = SpeedSearch()
-        self._response: Response | None = None
 
     @cached_property
     def volume(self) -> VoxelVolume:
@@ -103,17 +105,25 @@ class Drilling(ContactEnvironment):
         bur = ball_burr(diameter_mm=BUR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
         return RestorableBone(self.volume, bur, shell_spacing_m=SPACING_M, materials=self._materials)
 
-    def _begin(self) -> None:
+    @property
+    def model(self) -> BoneModel:
+        """The crown under the bur."""
+        return self.bone.model
+
+    def _prepare(self) -> None:
         self.bone.restore({name: self.drawn[f"{name}_density_kg_m3"] for name in ("enamel", "dentin")})
-        place = np.array([1e-3 * self.drawn["x_mm"], 1e-3 * self.drawn["y_mm"]])
-        self.surface_m, junction_m = self._heights(place)
+        self._place_m = np.array([1e-3 * self.drawn["x_mm"], 1e-3 * self.drawn["y_mm"]])
+        self.surface_m, junction_m = self._heights(self._place_m)
         self.wanted_m = self.surface_m - junction_m + INTO_DENTIN_M
         self._speed = self._deepest_m = 0.0
-        motion = self.motion
-        motion.tip_m[:2], motion.tip_m[2] = place, self.surface_m + START_M
-        motion.heading[0], motion.speed_m_s, motion.pressed = (0.0, 0.0, -1.0), 0.0, 0.0
-        self.bone.model.place(motion)
-        self._response = self.bone.model.respond(motion)
+
+    def begin(self, motion: ToolMotion) -> None:
+        """Put the tip over its drawn place."""
+        motion.tip_m[:2] = self._place_m
+        motion.tip_m[2] = self.surface_m + START_M
+        motion.heading[0] = (0.0, 0.0, -1.0)
+        motion.speed_m_s = 0.0
+        motion.pressed = 0.0
 
     def _heights(self, place_m: Array) -> tuple[float, float]:
         """Heights of the surface and of the end of the enamel over a place [m], in whole voxels."""
@@ -124,42 +134,57 @@ class Drilling(ContactEnvironment):
         heights = volume.origin_m[2] + volume.spacing_m * np.array([np.flatnonzero(held)[-1] + 1, enamel.argmax()])
         return float(heights[0]), float(heights[1])
 
-    def _tick(self, command: Array) -> Array:
-        motion, thrust = self.motion, self.thrust_N * float(command[0])
-        assert self._response is not None
-        before, top_m = self._speed, float(motion.tip_m[2])
-        down = before > 0.0 or thrust > 0.0
-        self._speed = self._balanced(before, thrust, down=down)
-        if down and self._speed > 0.0:
-            self._speed = self._speed_down(before, thrust, top_m)
-        else:
-            motion.tip_m[2] = top_m - self._speed * TICK_S
-        edge = max(float(self._response.edge[2]), 0.0)
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Move the bur to its first guess of the tick, by the force at the end of the last tick."""
+        self._thrust = self.thrust_N * float(self._command[0])
+        self._before = self._speed
+        self._top_m = float(motion.tip_m[2])
+        down = self._before > 0.0 or self._thrust > 0.0
+        self._speed = self._balanced(response, motion, down=down)
+        self._searches = down and self._speed > 0.0
+        if self._searches:
+            self._search.begin(self._speed, highest=TOP_SPEED_M_S)
+            motion.heading[0, 2] = -1.0
+            motion.tip_m[2] = self._top_m - self._search.tried * step_s
+            return
+        motion.tip_m[2] = self._top_m - self._speed * step_s
+        self._set_speed(response, motion)
+
+    def correct(self, response: Response, motion: ToolMotion) -> bool:
+        """Search down to the pose where the bone's force balances the thrust."""
+        if not self._searches:
+            return False
+        balanced = max(self._balanced(response, motion, down=True), 0.0)
+        if not self._search.accepts(balanced):
+            motion.tip_m[2] = self._top_m - self._search.tried * TICK_S
+            return True
+        self._speed = balanced
+        self._set_speed(response, motion)
+        return False
+
+    def _set_speed(self, response: Response, motion: ToolMotion) -> None:
+        """Set the speed of the cut, and how far the bone answers the thrust of a bur that rests."""
+        edge = max(float(response.edge[2]), 0.0)
         motion.speed_m_s = abs(self._speed)
-        motion.pressed = min(thrust / edge, 1.0) if self._speed == 0.0 and thrust > 0.0 and edge > 0.0 else 0.0
+        rests = self._speed == 0.0 and self._thrust > 0.0 and edge > 0.0
+        motion.pressed = min(self._thrust / edge, 1.0) if rests else 0.0
         motion.heading[0, 2] = 1.0 if self._speed < 0.0 else -1.0
-        self.bone.model.advance(motion)
-        motion.heading[0, 2], motion.speed_m_s = -1.0, max(self._speed, 0.0)  # what it would meet on the next tick down
-        self._response = self.bone.model.respond(motion)
-        self._deepest_m = max(self._deepest_m, self.depth_m)
-        return self._response.wrench
 
-    def _speed_down(self, before: float, thrust: float, top_m: float) -> float:
-        """Bring the bur down to where the bone's force balances the thrust, and return its speed there [m/s]."""
-        search, motion = self._search, self.motion
-        search.begin(self._speed, highest=TOP_SPEED_M_S)
+    def _felt(self, response: Response) -> Array:
+        """Return the loads in the cut bone, on a bur that goes down: the next tick starts from them."""
+        motion = self.tool
         motion.heading[0, 2] = -1.0
-        while True:
-            motion.tip_m[2] = top_m - search.tried * TICK_S
-            self._response = self.bone.model.respond(motion)
-            balanced = max(self._balanced(before, thrust, down=True), 0.0)
-            if search.accepts(balanced):
-                return balanced
+        motion.speed_m_s = max(self._speed, 0.0)
+        self.stepper.response = self.model.respond(motion)
+        self._deepest_m = max(self._deepest_m, self.depth_m)
+        return self.stepper.response.wrench
 
-    def _balanced(self, before: float, thrust: float, *, down: bool) -> float:
-        """Return the speed that balances thrust, inertia, damping and the force of the bone as last evaluated [m/s]."""
-        assert self._response is not None
-        edge, drag = max(float(self._response.edge[2]), 0.0), max(float(self._response.resistance[2]), 0.0)
+    def _balanced(self, response: Response, motion: ToolMotion, *, down: bool) -> float:
+        """Return the speed that balances thrust, inertia, damping and a force of the bone [m/s]."""
+        edge = max(float(response.edge[2]), 0.0)
+        drag = max(float(response.resistance[2]), 0.0)
+        before = self._before
+        thrust = self._thrust
         speed = implicit_speed(
             before,
             thrust=thrust - (edge if down else 0.0),
@@ -169,13 +194,13 @@ class Drilling(ContactEnvironment):
         )
         if down and before >= 0.0 and thrust >= 0.0:
             speed = max(speed, 0.0)
-        highest = (self.surface_m + CEILING_M - float(self.motion.tip_m[2])) / TICK_S
+        highest = (self.surface_m + CEILING_M - float(motion.tip_m[2])) / TICK_S
         return min(max(speed, -TOP_SPEED_M_S, -highest), TOP_SPEED_M_S)
 
     @property
     def depth_m(self) -> float:
         """Depth of the tip below the surface [m]."""
-        return self.surface_m - float(self.motion.tip_m[2])
+        return self.surface_m - float(self.tool.tip_m[2])
 
     def _potential(self) -> dict[str, float]:
         too_deep = max(self._deepest_m - self.wanted_m, 0.0)
@@ -196,7 +221,8 @@ class Drilling(ContactEnvironment):
 
     def _facts(self) -> dict[str, Any]:
         removed = {name: self.bone.removed_mm3(name) for name in ("enamel", "dentin")}
-        deepest, wanted = 1e3 * self._deepest_m, 1e3 * self.wanted_m
+        deepest = 1e3 * self._deepest_m
+        wanted = 1e3 * self.wanted_m
         return {"depth_mm": 1e3 * self.depth_m, "deepest_mm": deepest, "wanted_mm": wanted, "removed_mm3": removed}
 
     def _draw(self) -> NDArray[np.uint8]:

@@ -1,8 +1,9 @@
-"""What the environments share: ticks, observation, reward, limits of time and force."""
+"""Base class of the environments: ticks, observation, reward, limits of time and force."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import gymnasium
@@ -12,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
-from tissue.models.tissue_model import TICK_S
+from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
+from tissue.motion.motion import Motion
+from tissue.simulation.loop import Stepper
 
 __all__ = ["FORCE_WEIGHT", "TIME_WEIGHT", "ContactEnvironment", "Entry"]
 
@@ -45,8 +48,8 @@ class Entry:
     count: int = 1
 
 
-class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]]):
-    """A tool that a policy leads against tissue.
+class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]], Motion):
+    """A tool that a policy leads against tissue: the environment is the motion of its tool.
 
     A step is `ticks` ticks of 1 ms under one action, whose entries lie in [-1, 1]. The observation is the numbers of
     `entries`, each over its scale and clipped to [-1, 1], loads being means over the step. The reward of a step is::
@@ -73,7 +76,7 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]]):
     entries: ClassVar[tuple[Entry, ...]]
     action_count: ClassVar[int]
     ranges: ClassVar[Mapping[str, tuple[float, float]]]
-    """What an episode draws, uniformly, between which limits; `reset(options={...})` fixes any of it."""
+    """Limits of the quantities that an episode draws uniformly; `reset(options={...})` fixes any of them."""
     usual_duration_s: ClassVar[float]
     usual_force_limit_N: ClassVar[float]
 
@@ -99,10 +102,22 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]]):
         self._scales = np.concatenate([np.full(each.count, each.scale) for each in self.entries])
         self.action_space = spaces.Box(-1.0, 1.0, (self.action_count,), np.float32)
         self.observation_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, self._scales.shape, np.float32)
-        self._done_steps, self.score = 0, 0.0
+        self._done_steps = 0
+        self.score = 0.0
         self._loads = np.zeros(6)
+        self._command = np.zeros(self.action_count)
         self.drawn: dict[str, float] = {}
-        """What the present episode has drawn."""
+        """Random draws of the present episode."""
+
+    @cached_property
+    def stepper(self) -> Stepper:
+        """Motion and tissue, tick by tick; made at the first reset."""
+        return Stepper(self, self.model, balances=self.balances)
+
+    @property
+    def tool(self) -> ToolMotion:
+        """Pose of the tool as the tissue has it."""
+        return self.stepper.tool
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; `options` fixes what would be drawn, by the names of `ranges`.
@@ -118,9 +133,11 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]]):
             if name not in self.ranges:
                 raise InputError(f"options must be of {', '.join(self.ranges)}, got {name!r}: leave it out")
             self.drawn[name] = require_range(f"options[{name!r}]", value, *self.ranges[name], "take one in between")
-        self._done_steps, self.score = 0, 0.0
+        self._done_steps = 0
+        self.score = 0.0
         self._loads[:] = 0.0
-        self._begin()
+        self._prepare()
+        self.stepper.place()
         return self._observe(), {"drawn": dict(self.drawn), "score": 0.0, **self._facts()}
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -128,13 +145,16 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]]):
         if not self.drawn:
             raise InputError("step must follow reset, got no episode: call reset first")
         command = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
-        before, peak, excess = self._potential(), 0.0, 0.0
+        before = self._potential()
+        peak = 0.0
+        excess = 0.0
         self._loads[:] = 0.0
         for _ in range(self.ticks):
             wrench = self._tick(command)
             self._loads += wrench
             force = float(np.sqrt(wrench[:3].dot(wrench[:3])))
-            peak, excess = max(peak, force), excess + max(force / self.force_limit_N - 1.0, 0.0)
+            peak = max(peak, force)
+            excess = excess + max(force / self.force_limit_N - 1.0, 0.0)
         self._loads /= self.ticks
         self._done_steps += 1
         after = self._potential()
@@ -161,7 +181,8 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]]):
     def named(self, observation: Any) -> dict[str, Array]:
         """The numbers of an observation by name, in the units of `entries`."""
         state = observation["state"] if isinstance(observation, dict) else observation
-        values, places = np.asarray(state, dtype=np.float64) * self._scales, np.cumsum([e.count for e in self.entries])
+        values = np.asarray(state, dtype=np.float64) * self._scales
+        places = np.cumsum([e.count for e in self.entries])
         return {
             entry.name: values[end - entry.count : end]
             for entry, end in zip(self.entries, places.tolist(), strict=True)
@@ -180,30 +201,41 @@ class ContactEnvironment(gymnasium.Env[Any, NDArray[np.float32]]):
             raise InputError("render must follow reset, got no episode: call reset first")
         return self._draw()
 
+    @property
     @abstractmethod
-    def _begin(self) -> None:
-        """Put tool and tissue where the episode starts."""
+    def model(self) -> TissueModel:
+        """The tissue."""
 
     @abstractmethod
+    def _prepare(self) -> None:
+        """Restore the tissue and take what the episode has drawn."""
+
     def _tick(self, command: Array) -> Array:
-        """Move on by a tick; force [N] and torque [N m] on the tool, shape (6,)."""
+        """Advance by a tick; return force [N] and torque [N m] on the tool, shape (6,)."""
+        self._command = command
+        self.stepper.step(0)  # no motion of an environment depends on the time
+        return self._felt(self.stepper.response)
+
+    def _felt(self, response: Response) -> Array:
+        """Return the loads on the tool in a tick, by the tissue's answer."""
+        return response.wrench
 
     @abstractmethod
     def _potential(self) -> dict[str, float]:
-        """Summands of the potential, 0 at the start of an episode."""
+        """Return the summands of the potential, 0 at the start of an episode."""
 
     @abstractmethod
     def _is_over(self) -> bool:
-        """Whether the task has ended."""
+        """Return whether the task has ended."""
 
     @abstractmethod
     def _observe(self) -> Any:
-        """What a policy sees."""
+        """Return the observation of a policy."""
 
     @abstractmethod
     def _facts(self) -> dict[str, Any]:
-        """What else ``info`` holds."""
+        """Return further entries of ``info``."""
 
     @abstractmethod
     def _draw(self) -> NDArray[np.uint8]:
-        """A picture of the present state."""
+        """Return a picture of the present state."""

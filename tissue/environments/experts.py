@@ -35,7 +35,8 @@ class MillingExpert:
 
     def __call__(self, observation: Any) -> Array:
         """The next action."""
-        env, seen = self._env, self._env.named(observation)
+        env = self._env
+        seen = self._env.named(observation)
         share = float(np.linalg.norm(seen["force"])) / env.force_limit_N
         self._speed = float(np.clip(self._speed * np.clip(0.9 / max(share, 0.1), 0.6, 1.5), 2.0, env.top_speed_mm_s))
         while len(self._corners) > 1 and np.linalg.norm(self._corners[0] - seen["tip"]) < REACHED_MM:
@@ -50,12 +51,17 @@ class DrillingExpert:
 
     def __init__(self, env: Drilling) -> None:
         self._env = env
-        self._hardest, self._stop_mm, self._out = 0.0, np.inf, False
+        self._hardest = 0.0
+        self._stop_mm = np.inf
+        self._out = False
 
     def __call__(self, observation: Any) -> Array:
         """The next action."""
-        env, seen = self._env, self._env.named(observation)
-        depth, velocity, force = float(seen["depth"][0]), float(seen["velocity"][0]), float(seen["force"][2])
+        env = self._env
+        seen = self._env.named(observation)
+        depth = float(seen["depth"][0])
+        velocity = float(seen["velocity"][0])
+        force = float(seen["force"][2])
         limit = 0.95 * env.force_limit_N / env.thrust_N
         if self._out or depth >= self._stop_mm - 0.01:
             self._out = True
@@ -76,12 +82,14 @@ class PalpationExpert:
         self._env = env
         self._felt: list[Array] = []
         self._plan: list[Array] = [np.array([0.0, 0.0])]
-        self._stage, self._height_mm = 0, -2.0
+        self._stage = 0
+        self._height_mm = -2.0
 
     def __call__(self, observation: Any) -> Array:
         """The next action."""
         seen = self._env.named(observation)
-        tip, force = seen["tip"], float(np.linalg.norm(seen["force"]))
+        tip = seen["tip"]
+        force = float(np.linalg.norm(seen["force"]))
         if self._stage > 0:
             self._felt.append(np.array([tip[0], tip[1], force / max(-tip[2], 0.3) ** 1.5]))  # a ball's law
         if force > 0.9 * self._env.force_limit_N:
@@ -122,8 +130,9 @@ class PalpationExpert:
         return np.asarray((weight[:, None] * felt[:, :2]).sum(axis=0) / weight.sum())
 
 
-def expert_of(env: Any) -> Any:
-    """A new expert for an episode of an environment, wrapped or not: call it with each observation."""
+def expert_of(env: Any) -> MillingExpert | DrillingExpert | PalpationExpert:
+    """Return a new expert for an episode of an environment, wrapped or not: call it with each observation."""
     bare = env.unwrapped
-    kinds = {Milling: MillingExpert, Drilling: DrillingExpert, Palpation: PalpationExpert}
-    return kinds[type(bare)](bare)
+    if isinstance(bare, Milling):
+        return MillingExpert(bare)
+    return DrillingExpert(bare) if isinstance(bare, Drilling) else PalpationExpert(bare)

@@ -13,7 +13,8 @@ from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.cutters import ball_burr
 from tissue.environments.environment import ContactEnvironment, Entry
 from tissue.environments.restorable_bone import PATCH_POINTS, RestorableBone
-from tissue.models.tissue_model import TICK_S, ToolMotion
+from tissue.models.bone.model import BoneModel
+from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["Milling"]
 
@@ -88,11 +89,11 @@ class Milling(ContactEnvironment):
 
     def __init__(self, *, patch: bool = False, materials: str | PathLike[str] | None = None, **options: Any) -> None:
         super().__init__(**options)
-        self._with_patch, self._materials = patch, materials
+        self._with_patch = patch
+        self._materials = materials
         if patch:
             around = spaces.Box(0.0, 1.0, (PATCH_POINTS,) * 3, np.float32)
             self.observation_space = spaces.Dict({"state": self.observation_space, "patch": around})
-        self.motion = ToolMotion()
 
     @cached_property
     def bone(self) -> RestorableBone:
@@ -112,25 +113,31 @@ class Milling(ContactEnvironment):
     @property
     def tip_mm(self) -> Array:
         """The burr's tip [mm], shape (3,)."""
-        return 1e3 * self.motion.tip_m
+        return 1e3 * self.tool.tip_m
 
-    def _begin(self) -> None:
+    @property
+    def model(self) -> BoneModel:
+        """The block under the burr."""
+        return self.bone.model
+
+    def _prepare(self) -> None:
         self.bone.restore(dict.fromkeys(LAYERS, self.drawn["density_kg_m3"]))
-        motion = self.motion
-        motion.tip_m[:] = [1e-3 * self.drawn[f"start_{axis}_mm"] for axis in "xyz"]
-        motion.heading[0], motion.speed_m_s = (0.0, 0.0, -1.0), 0.0
-        self.bone.model.place(motion)
 
-    def _tick(self, command: Array) -> Array:
-        motion = self.motion
-        wanted = motion.tip_m + 1e-3 * self.top_speed_mm_s * TICK_S * command
+    def begin(self, motion: ToolMotion) -> None:
+        """Put the tip at its drawn place."""
+        motion.tip_m[:] = [1e-3 * self.drawn[f"start_{axis}_mm"] for axis in "xyz"]
+        motion.heading[0] = (0.0, 0.0, -1.0)
+        motion.speed_m_s = 0.0
+
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Move the tip by the commanded velocity, within reach."""
+        wanted = motion.tip_m + 1e-3 * self.top_speed_mm_s * step_s * self._command
         moved = np.clip(wanted, *(1e-3 * self.reach_mm)) - motion.tip_m
         length = float(np.sqrt(moved.dot(moved)))
         motion.tip_m += moved
-        motion.speed_m_s = length / TICK_S
+        motion.speed_m_s = length / step_s
         if length > 0.0:
             motion.heading[0] = moved / length
-        return self.bone.meet(motion).wrench
 
     def _shares(self) -> tuple[float, float]:
         """Removed of the target and beyond the tolerance, over the target's volume."""
@@ -147,14 +154,14 @@ class Milling(ContactEnvironment):
     def _observe(self) -> Any:
         at, centres = self._target
         left = centres[self.bone.left(at)]
-        away = left - self.motion.tip_m
+        away = left - self.tool.tip_m
         nearest = 1e3 * away[np.einsum("ij,ij->i", away, away).argmin()] if len(left) else np.zeros(3)
-        velocity = 1e3 * self.motion.speed_m_s * self.motion.heading[0]
+        velocity = 1e3 * self.tool.speed_m_s * self.tool.heading[0]
         loads = self._loads[:3], 1e3 * self._loads[3:]
         state = self._scaled(self.tip_mm, velocity, *loads, nearest, *self._shares(), self.time_left)
         if not self._with_patch:
             return state
-        centre = self.motion.tip_m + np.array([0.0, 0.0, 0.5e-3 * BURR_MM])
+        centre = self.tool.tip_m + np.array([0.0, 0.0, 0.5e-3 * BURR_MM])
         return {"state": state, "patch": self.bone.patch(centre, 1e-3 * PATCH_MM)}
 
     def _facts(self) -> dict[str, Any]:

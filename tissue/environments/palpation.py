@@ -12,7 +12,7 @@ from tissue.builders.organ_given import SoftMaterial
 from tissue.environments.environment import ContactEnvironment, Entry
 from tissue.models.organ.model import LiverModel
 from tissue.models.organ.probe import SphereProbe
-from tissue.models.tissue_model import TICK_S, ToolMotion
+from tissue.models.tissue_model import Response, ToolMotion
 
 __all__ = ["Palpation"]
 
@@ -79,8 +79,9 @@ class Palpation(ContactEnvironment):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self.motion = ToolMotion()
-        self.tip_m, self.nodule_m, self._turn = np.zeros(3), np.zeros(2), np.eye(3)
+        self.tip_m = np.zeros(3)
+        self.nodule_m = np.zeros(2)
+        self._turn = np.eye(3)
         self._velocity_m_s = np.zeros(3)
         self._touched = False
         self.path: list[tuple[float, ...]] = []
@@ -102,33 +103,40 @@ class Palpation(ContactEnvironment):
         organ = material.organ(mesh, slab_base(mesh))
         return organ.under(SphereProbe(BALL_RADIUS_M), tips, turns, path="condensed", cores=1)[0]
 
-    def _begin(self) -> None:
+    @property
+    def model(self) -> LiverModel:
+        """The slab."""
+        return self.organ
+
+    def _prepare(self) -> None:
         bearing, turn = (np.deg2rad(self.drawn[name]) for name in ("bearing_deg", "turn_deg"))
         self.nodule_m[:] = 1e-3 * self.drawn["distance_mm"] * np.array([np.cos(bearing), np.sin(bearing)])
-        cosine, sine = np.cos(turn), np.sin(turn)
+        cosine = np.cos(turn)
+        sine = np.sin(turn)
         self._turn[:2, :2] = [[cosine, -sine], [sine, cosine]]
         self.tip_m[:] = (0.0, 0.0, START_M)
         self._velocity_m_s[:] = 0.0
-        self._touched, self.path = False, []
-        self._follow()
-        self.organ.place(self.motion)
+        self._touched = False
+        self.path = []
 
-    def _follow(self) -> None:
-        """Bring the tool of the slab to the tip: the nodule lies in the slab's middle."""
+    def begin(self, motion: ToolMotion) -> None:
+        """Bring the tool to the tip, in the frame of the slab, whose middle holds the nodule."""
         away = np.array([*(self.tip_m[:2] - self.nodule_m), self.tip_m[2]])
-        np.dot(self._turn, away, out=self.motion.tip_m)
+        np.dot(self._turn, away, out=motion.tip_m)
 
-    def _tick(self, command: Array) -> Array:
-        wanted = self.tip_m + TOP_SPEED_M_S * TICK_S * command
+    def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
+        """Move the tip by the commanded velocity, within reach."""
+        wanted = self.tip_m + TOP_SPEED_M_S * step_s * self._command
         aside = float(np.hypot(wanted[0], wanted[1]))
         if aside > REACH_M:
             wanted[:2] *= REACH_M / aside
         wanted[2] = min(max(wanted[2], LOWEST_M), CEILING_M)
-        self._velocity_m_s = (wanted - self.tip_m) / TICK_S
+        self._velocity_m_s = (wanted - self.tip_m) / step_s
         self.tip_m[:] = wanted
-        self._follow()
-        self.organ.advance(self.motion)
-        wrench = self.organ.respond(self.motion).wrench.reshape(2, 3)
+        self.begin(motion)
+
+    def _felt(self, response: Response) -> Array:
+        wrench = response.wrench.reshape(2, 3)
         wrench = (self.drawn["modulus_kPa"] / MODULUS_KPA) * (wrench @ self._turn).reshape(6)
         self._touched |= bool(wrench[2] > 0.0)
         return wrench

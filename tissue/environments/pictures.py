@@ -59,7 +59,8 @@ def _section(panel: Axes, bone: RestorableBone, across: int, at_m: float, colour
 def milling_picture(env: "Milling") -> NDArray[np.uint8]:
     """Sections along x under the burr and through the pocket at half its depth, the target in orange."""
     figure, (side, top) = _canvas(env, 2)
-    tip, radius = env.tip_mm, 1e3 * env.bone.model.cutter.profile.radius_m
+    tip = env.tip_mm
+    radius = 1e3 * env.bone.model.cutter.profile.radius_m
     _section(side, env.bone, 1, 1e-3 * tip[1], MILLING_COLOURS)
     side.add_patch(Circle((tip[0], tip[2] + radius), radius, fill=False, color="0.2"))
     side.set_ylim(-3.6, 4.5)
@@ -71,8 +72,9 @@ def milling_picture(env: "Milling") -> NDArray[np.uint8]:
 def drilling_picture(env: "Drilling") -> NDArray[np.uint8]:
     """Section along x under the bur, with the wanted depth."""
     figure, (side,) = _canvas(env, 1)
-    tip, radius = 1e3 * env.motion.tip_m, 1e3 * env.bone.model.cutter.profile.radius_m
-    _section(side, env.bone, 1, env.motion.tip_m[1], TOOTH_COLOURS)
+    tip = 1e3 * env.tool.tip_m
+    radius = 1e3 * env.bone.model.cutter.profile.radius_m
+    _section(side, env.bone, 1, env.tool.tip_m[1], TOOTH_COLOURS)
     side.add_patch(Circle((tip[0], tip[2] + radius), radius, fill=False, color="0.2"))
     side.axhline(1e3 * (env.surface_m - env.wanted_m), color="0.2", linestyle="--", linewidth=1.0, label="wanted depth")
     side.set_ylim(-4.0, 2.5)
@@ -86,7 +88,8 @@ def palpation_picture(env: "Palpation") -> NDArray[np.uint8]:
     x, y, _, force = np.array(env.path).T
     shown = top.scatter(x, y, c=force, s=12, cmap="viridis")
     figure.colorbar(shown, ax=top, label="force along z / N")
-    at, reach = 1e3 * env.nodule_m, 1e3 * env.reach_m
+    at = 1e3 * env.nodule_m
+    reach = 1e3 * env.reach_m
     top.add_patch(Circle((at[0], at[1]), 1e3 * env.nodule_radius_m, fill=False, color="#D55E00", linestyle="--"))
     top.add_patch(Rectangle((-reach, -reach), 2.0 * reach, 2.0 * reach, fill=False, color="none"))
     top.plot(x[-1], y[-1], "o", color="0.2", fillstyle="none", markersize=10)

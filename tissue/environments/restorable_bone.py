@@ -13,7 +13,6 @@ from tissue.builders.own_constants import given_note
 from tissue.cutters.cutter import Cutter
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.bricks import voxels_of
-from tissue.models.tissue_model import Response, ToolMotion
 from tissue.scene.used_constants import used_of_cutting
 
 __all__ = ["PATCH_POINTS", "RestorableBone"]
@@ -51,7 +50,8 @@ class RestorableBone:
         shell_spacing_m: float,
         materials: str | PathLike[str] | None = None,
     ) -> None:
-        given, layers = Materials.of(materials), volume.layer_names
+        given = Materials.of(materials)
+        layers = volume.layer_names
         used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
         given_note(given, used, layers=layers, by="environment")
         # A material is named for layers that have none of their own; one core, as environments run beside each other.
@@ -71,11 +71,6 @@ class RestorableBone:
         for name, value in density_kg_m3.items():
             density[self._layer == store.grid.layer_names.index(name)] = round(value)
         np.copyto(self._material, density << 16 | self._layer)
-
-    def meet(self, motion: ToolMotion) -> Response:
-        """Carve at a pose and answer it."""
-        self.model.advance(motion)
-        return self.model.respond(motion)
 
     def removed_mm3(self, layer: str) -> float:
         """Volume taken from a layer so far [mm3]."""

@@ -1,5 +1,6 @@
 """A hand on a device as what moves a tool: samples in, forces out, once a tick."""
 
+from dataclasses import dataclass
 from functools import partial
 from math import pi, sqrt
 
@@ -23,10 +24,76 @@ from tissue.motion.quaternion import Quaternion
 from tissue.prediction.contact import SeesContact
 from tissue.prediction.predictor import Predictor
 
-__all__ = ["HandMotion"]
+__all__ = ["HandMotion", "Rendering", "Script"]
 
 SMOOTH_S, SMOOTH_SAMPLES = 0.01, 5
 """Shortest time [s], and fewest samples, over which the speed of a free tool is estimated: encoders step."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendering:
+    """From the position of device and tool to the played force.
+
+    Attributes
+    ----------
+    law
+        Renders the force at the device from device and tool [N].
+    loop
+        Loop of device and law: its delay books the energy, and its filters of force and velocity are applied. Without a
+        velocity filter the velocity of the sample is used. Its tick is the time between two samples of the device.
+    margin
+        Share of the critical stiffness that is left.
+    turning_law
+        Renders the torque at the device [N m]; None for a device without torque.
+    delay_ticks
+        Ticks by which the force is delayed here.
+    model_ticks
+        Ticks for which one answer of the tissue holds.
+    predictor
+        Predicts the force; None plays the present force.
+    lead_ticks
+        Prediction horizon.
+    prediction_gain
+        Share of the step from the present to the predicted force that is played.
+    played
+        Changes to the force after that; default the limits of the device alone.
+    """
+
+    law: Renderer
+    loop: WallLoop
+    margin: float
+    turning_law: TurningRenderer | None = None
+    delay_ticks: int = 0
+    model_ticks: int = 1
+    predictor: Predictor | None = None
+    lead_ticks: float = 0.0
+    prediction_gain: float = 1.0
+    played: PlayedForce | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Script:
+    """Scripted motion of a hand on a device.
+
+    Attributes
+    ----------
+    motion
+        Gives start, orientation, region and duration.
+    motion_scale
+        Metres at the tool for each metre at the device.
+    stray_m
+        Distance to which the tool may leave the scripted motion [m].
+    after_s
+        Additional time of the hand: to react, to move and to correct [s].
+    device_origin_m
+        Position of the tool when the device is at its origin [m]; None lets both start at the same place.
+    """
+
+    motion: Motion
+    motion_scale: float = 1.0
+    stray_m: float = 0.0
+    after_s: float = 0.0
+    device_origin_m: Array | None = None
 
 
 class HandMotion(Motion):
@@ -46,97 +113,68 @@ class HandMotion(Motion):
     Parameters
     ----------
     device
-        What the hand moves.
+        Device in the hand.
     tool
-        Where the tool is in balance.
-    law
-        What turns device and tool into a force at the device [N].
-    scripted
-        Motion that the hand is to make; it gives start, orientation, region and duration.
+        Law of the tool's balance.
     limits
-        Greatest force and torque of the device, and their greatest change.
-    loop
-        Loop of device and law, by whose delay energy is booked, and whose filters of force and velocity are applied;
-        without one the velocity is that of the sample. Its tick is the time between two samples of the device.
-    delay_ticks
-        Ticks by which the force is held back here.
-    turning_law
-        What turns device and tool into a torque at the device [N m]; without it none is played.
-    motion_scale
-        Metres at the tool for each metre at the device.
-    margin
-        Share of the critical stiffness that is left.
-    stray_m
-        How far the tool may leave the scripted motion [m].
-    after_s
-        How much longer a hand takes than the scripted motion: to react, to move and to correct [s].
-    model_ticks
-        Ticks for which one answer of the tissue holds.
-    predictor
-        What predicts the force; without it the present one is played.
-    lead_ticks
-        How far ahead it is asked for.
-    prediction_gain
-        Share of the step from the present force to the predicted one that is played.
-    played
-        What is made of the force after that; default the device's range alone.
-    device_origin_m
-        Where the tool is when the device is at its origin [m]; default where it makes both start together.
+        Largest force and torque of the device, and their largest change.
+    rendering
+        From device and tool to the played force.
+    script
+        The scripted motion, and how the hand departs from it.
     """
 
     def __init__(
-        self,
-        device: Device,
-        tool: HeldTool,
-        law: Renderer,
-        *,
-        scripted: Motion,
-        limits: DeviceParameters,
-        loop: WallLoop,
-        delay_ticks: int = 0,
-        turning_law: TurningRenderer | None = None,
-        motion_scale: float = 1.0,
-        margin: float,
-        stray_m: float = 0.0,
-        after_s: float = 0.0,
-        model_ticks: int = 1,
-        predictor: Predictor | None = None,
-        lead_ticks: float = 0.0,
-        prediction_gain: float = 1.0,
-        played: PlayedForce | None = None,
-        device_origin_m: Array | None = None,
+        self, device: Device, tool: HeldTool, limits: DeviceParameters, rendering: Rendering, script: Script
     ) -> None:
-        self._limits, self._played = limits, played or PlayedForce(limits)
-        self.predictor, self._gain = predictor, prediction_gain
-        self._sees = predictor if isinstance(predictor, SeesContact) else None
+        loop = rendering.loop
+        predictor = rendering.predictor
+        self._limits = limits
+        self._played = rendering.played or PlayedForce(limits)
         self._sample_s = loop.tick_s
-        self._margin, self.device = margin, device
-        self.tool, self.law, self._contact, self._control = tool, law, law, None
-        if predictor is not None and isinstance(law, PassivityRenderer):
-            # What a controller adds in one tick is no course that a force is on: it comes after the prediction.
-            self._contact, self._control = law.inner, law.control
-        self.duration_s, self.after_s = scripted.duration_s + after_s, after_s
-        self._scripted, self._stray = scripted, stray_m
-        self._start, self._scale = np.array(scripted.rotations()[0]), motion_scale
-        self._shift = device_origin_m if device_origin_m is not None else (1.0 - motion_scale) * scripted.sweep_m()[0]
-        self.contact = partial(seen_contact, tool, loop.stiffness_N_m, motion_scale, self._shift)
+        self._margin = rendering.margin
+        self.predictor = predictor
+        self.device = device
+        self.tool = tool
+        self.law = rendering.law
+        self._gain = rendering.prediction_gain
+        self._sees = predictor if isinstance(predictor, SeesContact) else None
+        self._contact: Renderer = rendering.law
+        self._control = None
+        if predictor is not None and isinstance(rendering.law, PassivityRenderer):
+            # A controller's step in one tick is no trend of the force: it comes after the prediction.
+            self._contact = rendering.law.inner
+            self._control = rendering.law.control
+        self._scripted = script.motion
+        self._stray = script.stray_m
+        self.after_s = script.after_s
+        self.duration_s = script.motion.duration_s + script.after_s
+        self._start = np.array(script.motion.rotations()[0])
+        self._scale = script.motion_scale
+        origin_m = script.device_origin_m
+        self._shift = (1.0 - self._scale) * script.motion.sweep_m()[0] if origin_m is None else origin_m
+        self.contact = partial(seen_contact, tool, loop.stiffness_N_m, self._scale, self._shift)
         self._low_pass = LowPass(loop.filter_s, step_s=TICK_S)
-        self._delay = DelayLine(delay_ticks)
-        # One filter for device and tool: where both go together, their difference stays zero.
+        self._delay = DelayLine(rendering.delay_ticks)
+        # One filter for device and tool: their difference stays zero while both move together.
         memory = loop.velocity_memory
         self._speeds = None if memory is None else ConstantAcceleration(memory, step_s=loop.tick_s)
         self._samples = NewSamples(loop.tick_s)
         self._turning = LowPass(loop.filter_s, step_s=TICK_S)
-        self._turning_delay = DelayLine(delay_ticks)
-        self._turning_law = turning_law
+        self._turning_delay = DelayLine(rendering.delay_ticks)
+        self._turning_law = rendering.turning_law
         self._torques = ForceRange(limit_N=limits.torque_limit_Nm or 1.0)
-        lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
-        # What it books has passed the delay that is made here.
-        self.observer = PassivityObserver(delay_ticks=max(lag / TICK_S - delay_ticks, 0.0))
+        lag_s = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
+        # The booked force has passed the delay that is made here.
+        self.observer = PassivityObserver(delay_ticks=max(lag_s / TICK_S - rendering.delay_ticks, 0.0))
         self._turned: Quaternion | None = None
-        self._smoothing = min(TICK_S * model_ticks / max(SMOOTH_S, SMOOTH_SAMPLES * loop.tick_s), 1.0)
-        self.model_ticks, self.lead_ticks = model_ticks, lead_ticks
-        self._ticks, self._step, self._fresh, self._is_new = 0, TICK_S * model_ticks, True, True
+        self.model_ticks = rendering.model_ticks
+        self.lead_ticks = rendering.lead_ticks
+        self._step = TICK_S * self.model_ticks
+        self._smoothing = min(self._step / max(SMOOTH_S, SMOOTH_SAMPLES * loop.tick_s), 1.0)
+        self._ticks = 0
+        self._fresh = True
+        self._is_new = True
         self._sample: Sample | None = None
         self._before, self._went, self._raw, self._torque, self._velocity = np.zeros((5, 3))
         self._both, self._rates = np.zeros((2, 6))
@@ -156,7 +194,8 @@ class HandMotion(Motion):
         self._truth = self.held.device if isinstance(self.held.device, KnowsTruth) else None
         self.measure_names += (at.TRUE + at.HAND_FORCE) * (self._truth is not None)
         self.measures = np.zeros(len(self.measure_names))
-        self.measures[at.QUATERNION], self.measures[at.MARGIN] = (0.0, 0.0, 0.0, 1.0), self._margin
+        self.measures[at.QUATERNION] = (0.0, 0.0, 0.0, 1.0)
+        self.measures[at.MARGIN] = self._margin
 
     def sweep_m(self) -> Array:
         """Positions of the scripted motion [m], and the same a stray to every side."""
@@ -190,9 +229,11 @@ class HandMotion(Motion):
         self._ticks += 1
         self._sample = None
         if sample is None:
-            motion.speed_m_s, self._velocity[:] = 0.0, 0.0
+            motion.speed_m_s = 0.0
+            self._velocity[:] = 0.0
             return
-        self._sample, self._is_new = sample, self._samples.is_new(sample, time_s)
+        self._sample = sample
+        self._is_new = self._samples.is_new(sample, time_s)
         if self._fresh:
             self._before[:] = self.tool.tip_m
             self._follow(sample, response, motion)
@@ -220,14 +261,18 @@ class HandMotion(Motion):
 
     def play(self, response: Response) -> None:
         """Give the device the force that answers its sample."""
-        wanted, torque, compressed = None, None, False
+        wanted = None
+        torque = None
+        compressed = False
         row = self.measures
         if (sample := self._sample) is None:
             self._pause()
         else:
             here, speed = self._render(sample)
             if self._fresh and self._turning_law is not None:
-                turned, spin, still = self.tool.quaternion, np.array(sample.spin_rad_s), np.zeros(3)
+                turned = self.tool.quaternion
+                spin = np.array(sample.spin_rad_s)
+                still = np.zeros(3)
                 self._torque = self._turning_law.render(sample.quaternion, spin, turned, still, self._step)
             row[at.RAW_FORCE] = force = self._raw
             if self.predictor is not None:
@@ -235,7 +280,8 @@ class HandMotion(Motion):
                     self._sees.meet(self.contact(response))
                 self.predictor.observe(here, speed, force if self._fresh else None)
                 predicted = self.predictor.predict(self.lead_ticks)
-                row[at.PREDICTED_FORCE], row[at.RESIDUAL] = predicted, self.predictor.residual_N
+                row[at.PREDICTED_FORCE] = predicted
+                row[at.RESIDUAL] = self.predictor.residual_N
                 row[at.PREDICTED_BY] = self.predictor.is_primary
                 force = force + self._gain * (predicted - force) if self._gain != 1.0 else predicted
                 if self._control is not None:
@@ -246,14 +292,19 @@ class HandMotion(Motion):
                 torque, squeezed = self._torques.play(self._turning_delay.step(self._turning.step(self._torque)))
                 compressed = compressed or squeezed
             self.observer.observe(here)
-            row[at.POSITION], row[at.QUATERNION], row[at.FILTERED_FORCE] = 1e3 * here, sample.quaternion, filtered
+            row[at.POSITION] = 1e3 * here
+            row[at.QUATERNION] = sample.quaternion
+            row[at.FILTERED_FORCE] = filtered
             row[self._person] = self._played.measures
             if self._truth is not None:
-                row[-6:-3], row[-3:] = 1e3 * np.array(self._truth.true_position_m), self._truth.hand_force_N
+                row[-6:-3] = 1e3 * np.array(self._truth.true_position_m)
+                row[-3:] = self._truth.hand_force_N
         played, turning = self.held.play(*self.guard.limit_force(wanted, torque))
         self.observer.hold(played)
-        row[at.PLAYED_FORCE], row[at.PLAYED_TORQUE] = played, turning
-        row[at.SATURATED], row[at.ENERGY] = compressed, self.observer.energy_J
+        row[at.PLAYED_FORCE] = played
+        row[at.PLAYED_TORQUE] = turning
+        row[at.SATURATED] = compressed
+        row[at.ENERGY] = self.observer.energy_J
 
     def raw_force_N(self) -> Array:
         """The renderer's force of a tick in which nothing is played, shape (3,); without a sample that of the last."""
@@ -271,9 +322,11 @@ class HandMotion(Motion):
         if self._speeds is not None:
             if self._is_new:
                 self._rates = self._speeds.step(both)
-            speed, went = self._rates[:3], self._rates[3:]
+            speed = self._rates[:3]
+            went = self._rates[3:]
         else:
-            speed, went = np.array(sample.velocity_m_s), self._went / self._scale
+            speed = np.array(sample.velocity_m_s)
+            went = self._went / self._scale
         if self._fresh:
             self._raw = self._contact.render(here, speed, tip, went, self._step)
         return here, speed
@@ -290,9 +343,11 @@ class HandMotion(Motion):
     def _set_speed(self, motion: ToolMotion, went_m_s: Array) -> None:
         """Heading and speed: of the balance, or estimated where the tool goes with the device."""
         self._velocity += self._smoothing * (went_m_s - self._velocity)
-        velocity, heading = self._velocity, self._velocity
+        velocity = self._velocity
+        heading = self._velocity
         if self.tool.driven:
-            velocity, heading = went_m_s, self.tool.heading
+            velocity = went_m_s
+            heading = self.tool.heading
         size = sqrt(heading.dot(heading))
         if size > 0.0:
             motion.heading[0] = heading / size

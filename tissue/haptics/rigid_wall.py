@@ -76,8 +76,10 @@ def press_wall(
                 sample = guard.validate_sample(sample, time)
             wanted: Array | None = None
             if sample is not None:
-                position[tick], velocity[tick] = sample.position_m, sample.velocity_m_s
-                foot, slide = position[tick].copy(), velocity[tick].copy()
+                position[tick] = sample.position_m
+                velocity[tick] = sample.velocity_m_s
+                foot = position[tick].copy()
+                slide = velocity[tick].copy()
                 if foot[2] < 0.0:
                     foot[2] = slide[2] = 0.0
                 wanted = law.render(position[tick], velocity[tick], foot, slide, tick_s)

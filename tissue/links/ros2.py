@@ -45,7 +45,7 @@ class Ros2Publisher:
     Parameters
     ----------
     folder
-        Folder that `tissue.simulation.live.ros2.Ros2Process` has filled.
+        Folder that `tissue.simulation.live.publisher.Ros2Process` has filled.
 
     Attributes
     ----------

@@ -33,9 +33,9 @@ from tissue.reporting.stage import stage
 from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.run_folder import SavedRun, added_to_run
+from tissue.simulation.saved_fields import require_whole
 from tissue.system.html import html_page
 from tissue.system.outputs import require_new_file
-from tissue.viewer.saved_surfaces import require_whole
 
 __all__ = ["NAME", "empty_scene", "viewer_scripts", "write_report"]
 

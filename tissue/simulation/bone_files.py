@@ -1,24 +1,30 @@
 """The carved bone of a run as files: voxels as .vti and .nrrd, its surface as .vtp and .stl."""
 
 import gzip
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.errors import InputError
+from meshes.base.placement import Placement
 from meshes.base.whole_file import whole_file
 from meshes.voxels.volume import VoxelVolume
+from tissue.motion.pose_file import read_poses
 from tissue.simulation.bone_surface import bone_surface, with_depth, with_layers
 from tissue.simulation.depth_map import CarvedRun, depth_map
-from tissue.simulation.vtk_files import image_in_file, mesh_in_file, write_vtk, write_vtk_xml
+from tissue.simulation.run_folder import SavedRun, saved_placement
+from tissue.simulation.saved_fields import require_whole
+from tissue.simulation.vtk_files import image_in_file, image_in_scene, mesh_in_file, write_vtk, write_vtk_xml
 
 if TYPE_CHECKING:
     import pyvista
 
     from tissue.simulation.run import Run
 
-__all__ = ["carved_surface", "voxel_image", "write_bone"]
+__all__ = ["carved_surface", "read_voxels", "saved_voxels", "voxel_image", "write_bone"]
 
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
 """Units of a file by their length [mm], as NRRD names them."""
@@ -48,6 +54,52 @@ def voxel_image(volume: VoxelVolume, remaining: NDArray[np.uint8]) -> "pyvista.I
     return image
 
 
+def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, NDArray[np.uint8]]:
+    """Read the voxels of a run's ``bone.vti`` in the scene's frame: before the first cut, and the bone left at the end.
+
+    Raises
+    ------
+    InputError
+        If the file is not one that a run wrote.
+    """
+    import pyvista
+
+    try:
+        image = image_in_scene(pyvista.read(file), placement)
+        shape = tuple(np.array(image.dimensions) - 1)
+        start, left, layer, density = (
+            np.ascontiguousarray(image.cell_data[name].reshape(shape, order="F"))
+            for name in ("start", "remaining", "layer", "density_kg_m3")
+        )
+        names = tuple(str(name) for name in image.field_data["layer_names"])
+    except (KeyError, ValueError, AttributeError, OSError):
+        raise InputError(f"bone.vti must be a file that a run wrote, got {file}: run the scene again") from None
+    origin_m = 1e-3 * np.array(image.origin)
+    spacing_m = 1e-3 * float(image.spacing[0])
+    return VoxelVolume(origin_m, spacing_m, start, layer, density, names, placement), left
+
+
+def saved_voxels(saved: SavedRun) -> tuple[VoxelVolume, NDArray[np.uint8], NDArray[np.float64] | None]:
+    """Read a run's voxels before the first cut, the bone left at the end, and the poses of the tool that cut.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no voxels, or a file is damaged.
+    """
+    file = saved.path / "bone.vti"
+    poses = saved.path / "carving" / "poses.npz"
+    if not file.is_file():
+        raise InputError(f"run must have voxels, got {saved.path} without bone.vti: see its trace and fields")
+    require_whole(saved)
+    volume, left = read_voxels(file, saved_placement(saved.path))
+    if not poses.is_file():
+        return volume, left, None
+    cut, origin_m, spacing_m = read_poses(poses)
+    # The image rounds origin and spacing, but the bits of the carving depend on them.
+    return replace(volume, origin_m=origin_m, spacing_m=spacing_m), left, cut
+
+
 def carved_surface(run: CarvedRun) -> "pyvista.PolyData":
     """Surface of the bone after the run [mm]: point array ``removed_depth_mm``, cell array ``layer``, normals."""
     depth = depth_map(run)
@@ -70,7 +122,8 @@ def write_bone(run: "Run", out: Path) -> None:
     from vtkmodules.vtkIOGeometry import vtkSTLWriter
     from vtkmodules.vtkIOXML import vtkXMLImageDataWriter, vtkXMLPolyDataWriter
 
-    image, placement = voxel_image(run.volume, run.remaining), run.parts.placement
+    image = voxel_image(run.volume, run.remaining)
+    placement = run.parts.placement
     write_vtk_xml(vtkXMLImageDataWriter(), image_in_file(image, placement), out / "bone.vti")
     _write_nrrd(run, out / "bone.nrrd")
     surface = mesh_in_file(carved_surface(run), placement)
@@ -86,11 +139,14 @@ def write_bone(run: "Run", out: Path) -> None:
 
 def _write_nrrd(run: "Run", path: Path) -> None:
     """Write ``remaining`` as a compressed NRRD image; its axes are those of the surface files in 3D Slicer (LPS)."""
-    volume, placement = run.volume, run.parts.placement
-    directions, origin = volume.spacing_m * 1e3 * np.eye(3), (volume.origin_m + 0.5 * volume.spacing_m) * 1e3
+    volume = run.volume
+    placement = run.parts.placement
+    directions = volume.spacing_m * 1e3 * np.eye(3)
+    origin = (volume.origin_m + 0.5 * volume.spacing_m) * 1e3
     units = []
     if placement is not None:
-        directions, origin = directions @ placement.rotation.T / placement.unit_mm, placement.to_file(origin[None])[0]
+        directions = directions @ placement.rotation.T / placement.unit_mm
+        origin = placement.to_file(origin[None])[0]
         name = UNIT_NAMES.get(placement.unit_mm)
         units = [f'space units: "{name}" "{name}" "{name}"'] if name else []
     header = "\n".join(

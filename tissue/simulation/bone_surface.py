@@ -50,7 +50,8 @@ def bone_surface(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.P
 def with_layers(surface: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyData":
     """Add the layer under every triangle as the cell array ``layer`` and the names as the field ``layer_names``."""
     triangles = surface.regular_faces
-    points, normals = surface.points, surface.point_data["Normals"]
+    points = surface.points
+    normals = surface.point_data["Normals"]
     inward = INWARD_VOXELS * volume.spacing_m * 1e3
     under = triangle_means(points, triangles) - inward * triangle_means(normals, triangles)
     at = np.rint(_voxels(under, volume)).astype(np.intp)
@@ -110,7 +111,8 @@ def smooth_normals(surface: "pyvista.PolyData", *, passes: int = 16) -> NDArray[
 
     triangles = surface.regular_faces
     normals = np.array(surface.point_data["Normals"], dtype=np.float32)
-    first, second = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    first = triangles.ravel()
+    second = np.roll(triangles, -1, axis=1).ravel()
     agree = np.einsum("ij,ij->i", normals[first], normals[second])
     weights = np.where(agree > 0.8, agree, np.float32(0.0))
     count = len(normals)

@@ -38,9 +38,11 @@ class CarvedSurface:
 
     def __init__(self, volume: VoxelVolume, box: Box, *, axis: int) -> None:
         low, high = box
-        first, last = np.maximum(low - MARGIN, 0), np.minimum(high + MARGIN, volume.shape)
+        first = np.maximum(low - MARGIN, 0)
+        last = np.minimum(high + MARGIN, volume.shape)
         self.part = tuple(slice(int(a), int(b)) for a, b in zip(first, last, strict=True))
-        self._whole, self._axis = volume, axis
+        self._whole = volume
+        self._axis = axis
         self._cut = VoxelVolume(
             volume.origin_m + volume.spacing_m * first,
             volume.spacing_m,
@@ -49,8 +51,10 @@ class CarvedSurface:
             np.ascontiguousarray(volume.density_kg_m3[self.part]),
             volume.layer_names,
         )
-        spacing, origin = 1e3 * volume.spacing_m, 1e3 * volume.origin_m
-        self._low_mm, self._high_mm = origin + spacing * (low - 0.5), origin + spacing * (high + 0.5)
+        spacing = 1e3 * volume.spacing_m
+        origin = 1e3 * volume.origin_m
+        self._low_mm = origin + spacing * (low - 0.5)
+        self._high_mm = origin + spacing * (high + 0.5)
 
     def rest(self) -> "pyvista.PolyData":
         """What no cut changes [mm]: cell array ``layer``, point arrays ``Normals`` and ``removed_depth_mm``, all 0."""
@@ -97,7 +101,8 @@ def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
         return volume
     middle = tuple(slice(block // 2, None, block) for _ in range(3))
     fraction = block_means(volume.fraction, block)
-    layer, density = np.zeros_like(fraction), np.zeros(fraction.shape, dtype=np.uint16)
+    layer = np.zeros_like(fraction)
+    density = np.zeros(fraction.shape, dtype=np.uint16)
     for target, source in ((layer, volume.layer[middle]), (density, volume.density_kg_m3[middle])):
         target[tuple(slice(n) for n in source.shape)] = source
     return VoxelVolume(volume.origin_m, block * volume.spacing_m, fraction, layer, density, volume.layer_names)

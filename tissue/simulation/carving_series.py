@@ -68,14 +68,17 @@ def write_carving(run: "Run", out: Path, *, report: Progress = silent) -> None:
     fine = tuple(slice(block * one.start, block * one.stop) for one in carved.part)
     placement = run.parts.placement
     _write(carved.rest(), folder / "rest.vtp", placement)
-    replay, ticks = run.replay(), carving_ticks(run)
+    replay = run.replay()
+    ticks = carving_ticks(run)
     seen: NDArray[np.uint8] | None = None
-    name, entries = "", list[tuple[float, int, str]]()
+    name = ""
+    entries = list[tuple[float, int, str]]()
     for index, tick in enumerate(ticks):
         report("writing the carving", index / len(ticks))
         left = block_means(replay.at(tick)[fine], block)
         if seen is None or not np.array_equal(left, seen):
-            seen, name = left.copy(), f"carving/frame_{index:04d}.vtp"
+            seen = left.copy()
+            name = f"carving/frame_{index:04d}.vtp"
             _write(carved.of(left), out / name, placement)
         time_s = float(run.trace["time_s"][tick])
         entries += [(time_s, 0, name), (time_s, 1, "carving/rest.vtp")]

@@ -70,10 +70,12 @@ def depth_map(run: CarvedRun) -> DepthMap:
     """Removed depth, face and newly exposed layers of a run."""
     from scipy.ndimage import binary_opening
 
-    volume, remaining = run.volume, run.remaining
+    volume = run.volume
+    remaining = run.remaining
     axis, outward = facing(run.trace)
     across = [a for a in range(3) if a != axis]
-    spacing, origin = volume.spacing_m * 1e3, volume.origin_m * 1e3
+    spacing = volume.spacing_m * 1e3
+    origin = volume.origin_m * 1e3
     start = origin[axis] if outward > 0 else origin[axis] + spacing * volume.shape[axis]
     removed = (volume.fraction - remaining).sum(axis=axis, dtype=np.int64)
     bone, _, before = _face(volume.fraction, volume.layer, axis, outward)

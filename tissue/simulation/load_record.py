@@ -124,7 +124,8 @@ class LoadRecord:
         for at, layer in self.layers.items():
             factor = 1.0 if density_factors is None else float(density_factors[at])
             each = coefficients[at]
-            strengths, values = _strengths(layer, each, factor), _values(each)
+            strengths = _strengths(layer, each, factor)
+            values = _values(each)
             grown = strengths * layer.nodes.logarithms(reference_kg_m3=each.reference_density_kg_m3, factor=factor)
             unit, unit_grown = layer.per_coefficient(np.stack([strengths, grown]))
             found[:, :, at, :COEFFICIENTS] = np.moveaxis(unit, 0, -1)
@@ -245,7 +246,8 @@ def _recorded(loop: Loop, bone: EngagedBone, every: int, report: Progress) -> tu
             f"{needed / 1e9:.1f} GB: use {every * -(-needed // MOST_BYTES)}"
         )
     unit = [np.zeros((*each.shape[:2], count, 6)) for each in bone.unit_loads]
-    engaged, reported_s = np.zeros((count, len(unit))), 0.0
+    engaged = np.zeros((count, len(unit)))
+    reported_s = 0.0
     loop.place()
     with undisturbed():
         for tick in range(ticks):

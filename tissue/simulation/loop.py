@@ -1,20 +1,254 @@
-"""What moves a tool and what it meets, tick by tick, with the trace that they leave."""
+"""The tick of 1 ms: motion, removal, force, output and record, one after another with the trace that they leave."""
 
 import gc
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import exp
+from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from tissue.builders.parts import Parts
-from tissue.models.tissue_model import TICK_S, Finishes, HasNotices, WaitsForBackground
+from tissue.haptics.loop.vibration import Vibration
+from tissue.models.tissue_model import (
+    TICK_S,
+    Finishes,
+    HasNotices,
+    Response,
+    StartsBackground,
+    TissueModel,
+    ToolMotion,
+    WaitsForBackground,
+)
+from tissue.motion.motion import Motion, quaternion_of
+from tissue.motion.pose_file import COLUMNS
 from tissue.scene.scene import Output
-from tissue.simulation.tick import Tick
-from tissue.simulation.trace import TIMING_COLUMNS, Table, TraceLayout
+from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
 
-__all__ = ["Loop", "undisturbed"]
+__all__ = ["Loop", "PoseLog", "Stepper", "Tick", "undisturbed"]
+
+
+class PoseLog:
+    """Poses that a tool was brought to, in memory that is allocated before the first tick.
+
+    Parameters
+    ----------
+    ticks
+        Ticks of the run; each may bring the tool to two poses.
+    """
+
+    def __init__(self, ticks: int) -> None:
+        self._rows = np.zeros((2 * ticks + 1, COLUMNS))
+        self._count = 0
+
+    def add(self, tick: int, motion: ToolMotion) -> None:
+        """Append the pose of a tick; -1 is the pose at which the tool was placed."""
+        row = self._rows[self._count]
+        row[0] = tick
+        row[1:4] = motion.tip_m
+        row[4:7] = motion.rotation[:, 2]
+        row[7:].reshape(2, 3)[:] = motion.heading
+        self._count += 1
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """Poses so far, shape (n, 13): tick, tip [m], axis, heading of the tip and of the pose."""
+        return self._rows[: self._count]
+
+
+class Stepper:
+    """Motion of a tool and answer of a tissue, one tick of 1 ms after another, without output and record.
+
+    Runs, live runs, prompt references and environments all go through `step`. The cutting force depends on the bone as
+    it was before the present pass, so that it is the same before and after the cut.
+
+    Parameters
+    ----------
+    motion
+        Moves the tool.
+    tissue
+        Is cut or pressed by the tool.
+    balances
+        Whether the pose is searched at which the force balances the thrust. Poses are tried before the bone there is
+        cut, because a pose that is not kept must remove nothing.
+    log
+        Takes the poses of a tool that cuts.
+
+    Attributes
+    ----------
+    tool
+        Present pose of the tool.
+    response
+        Answer of the tissue at that pose.
+    moved_s, searched_s, removed_s
+        Times at which the parts of the tick ended: motion, search, removal [s].
+    """
+
+    def __init__(
+        self, motion: Motion, tissue: TissueModel, *, balances: bool = False, log: PoseLog | None = None
+    ) -> None:
+        self._motion = motion
+        self._tissue = tissue
+        self._balances = balances
+        self._log = log
+        self._starts = tissue if isinstance(tissue, StartsBackground) else None
+        self._waits = tissue if isinstance(tissue, WaitsForBackground) else None
+        self.tool = ToolMotion()
+        self.response = Response.empty(len(tissue.layer_names))
+        self.moved_s = self.searched_s = self.removed_s = 0.0
+
+    def place(self, *, resume: bool = False) -> Response:
+        """Put the tool at the start of the motion, before the first tick; return the answer there.
+
+        With `resume` the tissue continues from a loop that ended there.
+        """
+        self._motion.begin(self.tool)
+        if not resume:
+            self._tissue.place(self.tool)
+        self._keep(-1)
+        return self._tissue.respond(self.tool)
+
+    def wait(self, index: int) -> None:
+        """Wait for background work whose result is due at a tick."""
+        if self._waits is not None:
+            self._waits.wait_for_background(index * TICK_S)
+
+    def step(self, index: int) -> None:
+        """Move the tool and evaluate the tissue; between the ticks of a slow model only the motion goes on."""
+        motion = self._motion
+        tissue = self._tissue
+        tool = self.tool
+        motion.advance(index * TICK_S, TICK_S, self.response, tool)
+        self.moved_s = self.searched_s = self.removed_s = perf_counter()
+        if index % motion.model_ticks != 0:
+            return
+        if self._balances:
+            response = tissue.respond(tool)
+            while motion.correct(response, tool):
+                response = tissue.respond(tool)
+            self.searched_s = perf_counter()
+            self._cut(index)
+            self.removed_s = perf_counter()
+        else:
+            self._cut(index)
+            self.removed_s = perf_counter()
+            response = tissue.respond(tool)
+            if motion.correct(response, tool):
+                self._cut(index)
+                response = tissue.respond(tool)
+        self.response = response
+
+    def start_background(self, index: int) -> None:
+        """Start the background work that follows from a tick."""
+        if self._starts is not None:
+            self._starts.start_background(index * TICK_S, self.tool)
+
+    def _cut(self, index: int) -> None:
+        self._tissue.advance(self.tool)
+        self._keep(index)
+
+    def _keep(self, index: int) -> None:
+        if self._log is not None:
+            self._log.add(index, self.tool)
+
+
+class Tick:
+    """One tick: step, output, record. Everything it needs is allocated here, once."""
+
+    def __init__(self, parts: Parts, output: Output, layout: TraceLayout, trace: Table, timing: Table) -> None:
+        self._motion = parts.motion
+        self._tissue = parts.tissue
+        self._clear = parts.keep_clear
+        self._rows = trace.rows
+        self._times = timing.rows
+        carves = parts.cutter is not None and parts.cutter.spin_rad_s != 0.0
+        self._log = PoseLog(len(trace.rows)) if carves else None
+        balances = carves and parts.motion.balances
+        self.stepper = Stepper(parts.motion, parts.tissue, balances=balances, log=self._log)
+        lag_s = output.low_pass_ms * 1e-3
+        self._gain = 1.0 - exp(-TICK_S / lag_s) if lag_s > 0.0 else 1.0
+        self._filtered = np.zeros(6)
+        self._commanded = np.zeros(6)
+        passing_Hz = parts.cutter.tooth_passing_Hz if parts.cutter is not None else 0.0
+        self._vibration = Vibration(passing_Hz, share=output.vibration_share, step_s=TICK_S)
+        self._at = layout
+        first = layout.measures.start
+        moved = first + len(parts.tissue.measure_names)
+        clear = moved + len(parts.motion.measure_names)
+        self._tissue_measures = slice(first, moved)
+        self._motion_measures = slice(moved, clear)
+        self._clear_measures = slice(clear, layout.measures.stop)
+        self._loads = load_columns(trace.columns)
+        self._rotation = b""
+        self._quaternion = np.zeros(4)
+
+    @property
+    def poses(self) -> NDArray[np.float64] | None:
+        """Poses of a tool that cuts, see `PoseLog`."""
+        return self._log.poses if self._log is not None else None
+
+    def place(self, *, resume: bool = False) -> None:
+        """Put the tool at the start of the motion; the cost of that belongs to no tick."""
+        response = self.stepper.place(resume=resume)
+        if self._clear is not None:
+            self._clear.measure(self.stepper.tool, placed=True)
+        self._record(self._rows[0], 0, response)
+
+    def __call__(self, index: int) -> None:
+        """Run one tick and record its trace and timings in row `index`."""
+        stepper = self.stepper
+        start = perf_counter()
+        stepper.step(index)
+        response = stepper.response
+        self._motion.play(response)
+        if self._clear is not None:
+            self._clear.measure(stepper.tool)
+        forced = perf_counter()
+        self._filtered += self._gain * (response.wrench - self._filtered)
+        np.multiply(self._filtered, 1.0 + self._vibration.factor(index), out=self._commanded)
+        self._record(self._rows[index], index, response)
+        recorded = perf_counter()
+        stepper.start_background(index)
+        end = perf_counter()
+        self._times[index, : len(TIMING_COLUMNS)] = (
+            (end - start) * 1e6,
+            (stepper.moved_s - start) * 1e6,
+            (stepper.removed_s - stepper.searched_s) * 1e6,
+            (forced - stepper.removed_s + stepper.searched_s - stepper.moved_s) * 1e6,
+            (recorded - forced) * 1e6,
+            (end - recorded) * 1e6,
+        )
+
+    def _record(self, row: np.ndarray, index: int, response: Response) -> None:
+        """Write one row of the trace, in the units of its columns."""
+        tool = self.stepper.tool
+        at = self._at
+        if tool.rotation.tobytes() != self._rotation:
+            self._rotation = tool.rotation.tobytes()
+            self._quaternion[:] = quaternion_of(tool.rotation)
+        moved, turned = tool.heading
+        row[at.time] = index * TICK_S
+        row[at.tip] = 1e3 * tool.tip_m
+        row[at.quaternion] = self._quaternion
+        row[at.velocity] = (1e3 * tool.speed_m_s) * moved
+        row[at.spin] = tool.speed_m_s * turned
+        row[at.commanded] = self._commanded
+        row[at.wrench] = response.wrench
+        row[at.removal_rate] = response.removal_rate_m3_s * 1e9
+        row[at.removed_by_layer] = volumes = 1e9 * self._tissue.removed_m3
+        row[at.removed] = np.add.reduce(volumes)
+        area = np.add.reduce(response.engaged_m2)
+        row[at.contact] = area * 1e6
+        row[self._tissue_measures] = response.measures
+        row[self._motion_measures] = self._motion.measures
+        if self._clear is not None:
+            row[self._clear_measures] = self._clear.measures
+        row[at.layer] = response.engaged_m2.argmax() if area > 0.0 else -1.0
+        row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0
+
 
 SWITCH_S = 5e-5
 """How long a background thread may keep the interpreter from the ticks [s]."""
@@ -23,7 +257,8 @@ SWITCH_S = 5e-5
 @contextmanager
 def undisturbed() -> Iterator[None]:
     """Keep the garbage collector and other threads from the ticks of a block."""
-    was_enabled, switching = gc.isenabled(), sys.getswitchinterval()
+    was_enabled = gc.isenabled()
+    switching = sys.getswitchinterval()
     gc.disable()
     sys.setswitchinterval(SWITCH_S)
     try:
@@ -62,9 +297,9 @@ class Loop:
 
     def __init__(self, parts: Parts, *, ticks: int, output: Output, timing_columns: tuple[str, ...] = ()) -> None:
         tissue = parts.tissue
-        self.parts, self.ticks = parts, 0
+        self.parts = parts
+        self.ticks = 0
         self.events = list(parts.events)
-        self._background = tissue if isinstance(tissue, WaitsForBackground) else None
         self._notices = tissue.notices if isinstance(tissue, HasNotices) else []
         self._clear = parts.keep_clear
         clear = () if self._clear is None else self._clear.names
@@ -83,8 +318,7 @@ class Loop:
 
     def wait(self) -> None:
         """Wait for work in the background whose result is due at the next tick."""
-        if self._background is not None:
-            self._background.wait_for_background(self.ticks * TICK_S)
+        self._tick.stepper.wait(self.ticks)
 
     def step(self) -> int:
         """Run a tick and return its row."""
@@ -96,7 +330,8 @@ class Loop:
 
     def finish(self) -> None:
         """Complete what was spread over ticks; the tables end with the last tick."""
-        self.trace.rows, self.timing.rows = self.trace.rows[: self.ticks], self.timing.rows[: self.ticks]
+        self.trace.rows = self.trace.rows[: self.ticks]
+        self.timing.rows = self.timing.rows[: self.ticks]
         if isinstance(self.parts.tissue, Finishes):
             self.parts.tissue.finish()
 
@@ -108,7 +343,7 @@ class Loop:
 
     @property
     def poses(self) -> Array | None:
-        """Poses of a tool that cuts, see `tissue.simulation.tick.PoseLog`."""
+        """Poses of a tool that cuts, see `tissue.simulation.loop.PoseLog`."""
         return self._tick.poses
 
     def _take_notices(self, time_s: float) -> None:

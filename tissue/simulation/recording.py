@@ -92,7 +92,8 @@ def write_recording(run: Recorded, path: Path) -> None:
 
 def _write_poses(file: Any, run: Recorded) -> None:
     """Poses of drill and anatomy, forces, and the size of the burr at the start."""
-    trace, tool = run.trace, run.scene.tool
+    trace = run.trace
+    tool = run.scene.tool
     times = trace["time_s"]
     turns = np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
     held = Rotation.from_quat(turns) if len(turns) else Rotation.identity(0)

@@ -21,13 +21,22 @@ from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE, VIBRATION
 from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.motor_path import force_later_N, mean_over_ticks_N, motor_force_N
+from tissue.models.tissue_model import Finishes
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
-from tissue.simulation.prompt_loop import rendered_force_N
+from tissue.simulation.loop import Stepper, undisturbed
 from tissue.simulation.simulate import TICK_S, tick_count
-from tissue.simulation.trace import Table
+from tissue.simulation.trace import LEAST_LOAD, Table
 
-__all__ = ["MotorForces", "ideal_force_N", "ideal_scene", "motor_forces", "played_force_N", "stretch_force_N"]
+__all__ = [
+    "MotorForces",
+    "ideal_force_N",
+    "ideal_scene",
+    "motor_forces",
+    "played_force_N",
+    "rendered_force_N",
+    "stretch_force_N",
+]
 
 Array = NDArray[np.float64]
 PROMPT: dict[str, object] = {
@@ -96,8 +105,40 @@ def ideal_force_N(run: SimulatedRun, finest: Mapping[str, object] | None = None,
     scene = ideal_scene(run.scene, finest).model_copy(update={"duration_s": len(trace.rows) * TICK_S})
     parts = build(scene, step_s=TICK_S, compute="cpu", cores=cores, report=silent, allow_unstable=True)
     assert isinstance(parts.motion, HandMotion)
-    parts.motion.device, parts.motion.after_s = played_back, 0.0
+    parts.motion.device = played_back
+    parts.motion.after_s = 0.0
     return rendered_force_N(parts, tick_count(scene, parts.motion))
+
+
+def rendered_force_N(parts: Parts, ticks: int) -> Array:
+    """Return the force of the renderer in each tick, before prediction, filter and delay [N], shape (ticks, 3).
+
+    It is bit for bit the columns ``raw_force`` of a run of the same parts, at about half the cost: the known motion of
+    the device does not depend on the played force, so that nothing is predicted, filtered, limited, played or recorded.
+
+    Parameters
+    ----------
+    parts
+        A tool on a device that plays no force, and its tissue, whose model answers every tick.
+    ticks
+        Number of ticks.
+    """
+    motion = parts.motion
+    tissue = parts.tissue
+    assert isinstance(motion, HandMotion)
+    stepper = Stepper(motion, tissue)
+    forces = np.zeros((ticks, 3))
+    stepper.place()
+    with undisturbed():
+        for tick in range(ticks):
+            stepper.wait(tick)
+            stepper.step(tick)
+            forces[tick] = motion.raw_force_N()
+            stepper.start_background(tick)
+    if isinstance(tissue, Finishes):
+        tissue.finish()
+    forces[np.abs(forces) < LEAST_LOAD] = 0.0
+    return forces
 
 
 def stretch_force_N(run: SimulatedRun) -> Array:
@@ -111,7 +152,8 @@ def stretch_force_N(run: SimulatedRun) -> Array:
     InputError
         If the run had no device.
     """
-    coupling, trace = ideal_scene(run.scene).coupling, run.trace
+    coupling = ideal_scene(run.scene).coupling
+    trace = run.trace
     assert coupling.stiffness_N_m is not None
     start_mm = 1e3 * run.parts.motion.sweep_m()[0]
     tool_mm = start_mm + (trace.vectors("tool", "mm") - start_mm) / coupling.motion_scale

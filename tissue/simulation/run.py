@@ -1,11 +1,12 @@
-"""A finished run."""
+"""A run: simulated just now, or read back from its folder, with one interface."""
 
 import os
 import platform
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,13 @@ from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
 from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
 from tissue.simulation.break_through import BreakThrough
-from tissue.simulation.run_folder import RunFolder
+from tissue.simulation.run_folder import RunFolder, SavedRun, added_to_run, copy_run, picture_format
 from tissue.simulation.run_summary import FORMAT, Summary
 from tissue.simulation.scheduling import Scheduling
 from tissue.simulation.trace import Table
+from tissue.simulation.trace_files import check_format, read_table
 
 if TYPE_CHECKING:
     import pyvista
@@ -33,27 +36,49 @@ __all__ = ["DEADLINE_US", "Run"]
 
 DEADLINE_US = 1000.0
 """A tick that takes longer misses its deadline [us]."""
+Part = TypeVar("Part")
 
 
 class Run:
-    """A simulated run in memory.
+    """A run, simulated just now or read back by `load`.
 
-    Attributes
+    Parts of a run that was read back are read when they are used first. A part that the folder does not hold raises
+    `InputError`.
+
+    Parameters
     ----------
     scene
-        What was simulated.
+        Scene that was simulated.
+    parts
+        Tissue, motion and voxels of the engine.
     trace, timing
         One row a tick; columns by name, ``run.trace["force_z_N"]``.
     events
-        What happened in the run: time [s] and a sentence each.
+        Events of the run: time [s] and a sentence each.
     poses
-        Poses of a tool that cuts, see `tissue.simulation.tick.PoseLog`; None of one that does not.
+        Poses of a tool that cuts, see `tissue.simulation.loop.PoseLog`; None for other tools.
+    compute
+        Warp device.
+
+    Attributes
+    ----------
+    path
+        Folder of the run; None before it is saved.
     scheduling
-        What was chosen for launches and background work, and how late the machine was; None where nobody recorded it.
+        Choices for launches and background work, and the delays of the machine; None if they were not recorded.
     draw
-        Draws the run's pictures into a folder in a format and returns a sentence for each that could not be drawn; the
-        engine by itself draws nothing, `tissue.simulate` sets it.
+        Draws the pictures of the run into a folder in a format and returns a sentence for each that could not be drawn;
+        `tissue.simulate` sets it.
     """
+
+    path: Path | None = None
+    scheduling: Scheduling | None = None
+    break_throughs: Sequence[BreakThrough] = ()
+    draw: "Callable[[Run, Path, str], list[str]] | None" = None
+    begun: RunFolder | None = None
+    """Folder that took the rows while the run went on, until it is saved there."""
+    _saved: SavedRun | None = None
+    _compute = "cpu"
 
     def __init__(
         self,
@@ -63,80 +88,130 @@ class Run:
         timing: Table,
         *,
         events: list[tuple[float, str]],
-        compute: str,
-        folder: RunFolder | None,
         poses: NDArray[np.float64] | None = None,
+        compute: str = "cpu",
     ) -> None:
-        self.scene, self.parts, self.trace, self.timing, self.events = scene, parts, trace, timing, events
-        self._compute, self._folder, self.poses = compute, folder, poses
-        self._fraction: NDArray[np.uint8] | None = None
-        self.scheduling: Scheduling | None = None
-        self.break_throughs: list[BreakThrough] = []
-        self.draw: Callable[[Run, Path, str], list[str]] | None = None
+        self.scene = scene
+        self.parts = parts
+        self.trace = trace
+        self.timing = timing
+        self.events = events
+        self.poses = poses
+        self._compute = compute
 
-    @property
-    def volume(self) -> VoxelVolume:
-        """The voxels before the first cut.
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a run back from its folder.
+
+        Parameters
+        ----------
+        path
+            Folder of a run; a stopped run can be read too.
 
         Raises
         ------
         InputError
-            If the tissue has none.
+            If the folder holds no run, a run of another version, or a damaged run.
         """
+        run = cls.__new__(cls)
+        run._saved = SavedRun(path)
+        run.path = run._saved.path
+        return run
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Scene that was simulated."""
+        return self._required(self._files.scene, "scene.toml")
+
+    @cached_property
+    def trace(self) -> Table:
+        """One row a tick, columns by name: ``run.trace["force_z_N"]``."""
+        return self._required(self._files.trace, "trace.csv")
+
+    @cached_property
+    def timing(self) -> Table:
+        """Duration of each tick and of its stages [µs], columns by name: ``run.timing["tick_us"]``."""
+        file = self._files.path / "timing.csv"
+        return self._required(read_table(file, ()) if file.is_file() else None, file.name)
+
+    @cached_property
+    def events(self) -> list[tuple[float, str]]:
+        """Events of the run: time [s] and a sentence each."""
+        return [(float(each["time_s"]), each["what"]) for each in self._files.summary.get("events", ())]
+
+    @cached_property
+    def parts(self) -> Parts:
+        """Tissue, motion and voxels of the engine; a folder does not keep them."""
+        raise InputError(f"run must be simulated here to have its parts, got {self._files.path}: run the scene again")
+
+    @cached_property
+    def poses(self) -> NDArray[np.float64] | None:
+        """Poses of a tool that cuts, see `tissue.simulation.loop.PoseLog`; None for other tools."""
+        return self._voxels[2] if (self._files.path / "bone.vti").is_file() else None
+
+    @property
+    def status(self) -> str:
+        """``complete``, ``failed``, ``interrupted`` or ``running``."""
+        return str(self.summary["status"])
+
+    @property
+    def problem(self) -> str:
+        """Cause of a failed or interrupted run; empty where there is none or it is not known."""
+        return str(self.summary.get("problem", ""))
+
+    @property
+    def volume(self) -> VoxelVolume:
+        """Voxels before the first cut; raises `InputError` if the tissue has no voxels."""
+        if self._saved is not None:
+            return self._voxels[0]
         if self.parts.volume is None:
             raise InputError(f"run must have voxels, got a {self.scene.anatomy.kind}: see its trace and fields")
         return self.parts.volume
 
-    @property
-    def cutter(self) -> Cutter:
-        """The cutter; raises as `volume`."""
-        if self.parts.cutter is None:
-            raise InputError(f"run must have a cutter, got a {self.scene.tool.kind}: see its trace and fields")
-        return self.parts.cutter
-
-    @property
+    @cached_property
     def remaining(self) -> NDArray[np.uint8]:
         """Bone left in every voxel, 255 = full, uint8, shape (nx, ny, nz); raises as `volume`."""
-        if self._fraction is None:
-            tissue = self.parts.tissue
-            self._fraction = tissue.remaining() if isinstance(tissue, HasVoxels) else self.volume.fraction
-        return self._fraction
+        if self._saved is not None:
+            return self._voxels[1]
+        tissue = self.parts.tissue
+        return tissue.remaining() if isinstance(tissue, HasVoxels) else self.volume.fraction
 
-    def discard(self, why: str) -> None:
-        """Let go of a run that is not to be saved; the folder that took its rows holds them as an interrupted one."""
-        if self._folder is not None:
-            self._folder.interrupt(why)
+    @property
+    def cutter(self) -> Cutter:
+        """Cutter of the run; raises `InputError` if the tool cuts nothing."""
+        from tissue.builders.cutting import cutter_of
+
+        tool = self.scene.tool
+        made = cutter_of(tool) if self._saved is not None and isinstance(tool, Tool) else None
+        found = self.parts.cutter if self._saved is None else made
+        if found is None:
+            raise InputError(f"run must have a cutter, got a {tool.kind}: see its trace and fields")
+        return found
 
     def replay(self) -> "CarvingReplay":
-        """The carving once more, for the bone at any tick: ``run.replay().at(tick)``.
+        """Carve the bone once more, for the bone at any tick; raises `InputError` if nothing was cut."""
+        import warp
 
-        Raises
-        ------
-        InputError
-            If nothing was cut.
-        """
         from tissue.models.bone.replay import CarvingReplay
 
         if self.poses is None:
-            raise InputError(f"run must have a tool that cuts, got {self.scene.tool.kind}: see its trace and fields")
+            got = f"{self.path} without poses" if self._saved is not None else self.scene.tool.kind
+            raise InputError(f"run must have a tool that cuts, got {got}: see its trace and fields")
+        device = self._compute
+        if self._saved is not None:
+            recorded = str(self.summary.get("compute"))
+            device = recorded if recorded in map(str, warp.get_devices()) else "cpu"
         removal = self.scene.voxels.removal
-        return CarvingReplay(self.volume, self.cutter, self.poses, removal=removal, device=self._compute)
+        return CarvingReplay(self.volume, self.cutter, self.poses, removal=removal, device=device)
 
     @property
     def summary(self) -> Summary:
-        """Figures of the run: volumes per layer, forces, tick cost, deadlines, scheduling, notes, machine."""
-        trace, tissue, limit = self.trace, self.parts.tissue, self.parts.motion.feed_limit
-        heat_J = tissue.heat_balance_J if isinstance(tissue, HasHeat) else None
-        contact = trace["contact_mm2"] > 0.0
-        force = np.linalg.norm(trace.vectors("model_force", "N"), axis=1)
-        torque = np.linalg.norm(trace.vectors("model_torque", "Nm"), axis=1)
-        mean = lambda values: float(values[contact].mean()) if contact.any() else 0.0  # noqa: E731
-        ticks = self.timing["tick_us"]
-        late, by_clock, exposed_s = np.zeros(len(ticks)), {}, 1e-6 * float(ticks.sum())
-        if "late_us" in self.timing:
-            late, exposed_s = self.timing["late_us"], len(ticks) * TICK_S
-            by_clock = {"late_us": _spread(late), "skipped_ms": 1e-3 * float(self.timing["skipped_us"].sum())}
-        return {
+        """Figures of the run, as in ``summary.json``: volumes, forces, tick cost, deadlines, scheduling, notes."""
+        if self._saved is not None:
+            return self._saved.summary | {"status": self._saved.status}
+        trace = self.trace
+        tissue = self.parts.tissue
+        found: Summary = {
             "format": FORMAT,
             "tissue": package_version(),
             "status": "complete",
@@ -144,29 +219,49 @@ class Run:
             "layers": list(trace.layer_names),
             "simulated_s": len(trace.rows) * 1e-3,
             "cuts": self.parts.cutter is not None,
-            "start_mm3": dict(zip(trace.layer_names, (tissue.start_m3 * 1e9).tolist(), strict=True)),
-            "removed_mm3": dict(zip(trace.layer_names, (tissue.removed_m3 * 1e9).tolist(), strict=True)),
-            "force_N": {"peak": float(force.max()), "mean_in_contact": mean(force)},
-            "torque_Nm": {"peak": float(torque.max()), "mean_in_contact": mean(torque)},
-            "tick_us": _spread(ticks),
-            "missed_deadlines": int((ticks + late > DEADLINE_US).sum()),
-            **by_clock,
-            **(self.scheduling.summary(ticks_s=exposed_s) if self.scheduling is not None else {}),
-            **({} if self.parts.keep_clear is None else {"keep_clear": self.parts.keep_clear.summary()}),
-            **({} if heat_J is None else {"heat_J": heat_J}),
-            **({} if limit is None else {"feed_limit": asdict(limit)}),
-            **({"break_through": list(map(asdict, self.break_throughs))} if self.break_throughs else {}),
-            **(tissue.summary() if isinstance(tissue, HasSummary) else {}),
-            "events": [{"time_s": time, "what": what} for time, what in self.events],
-            "compute": self._compute,
-            **self.parts.placement_record,
-            "machine": f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, Python "
-            f"{platform.python_version()}",
-            "notes": self.parts.notes,
         }
+        for name, volumes_m3 in (("start_mm3", tissue.start_m3), ("removed_mm3", tissue.removed_m3)):
+            found[name] = dict(zip(trace.layer_names, (volumes_m3 * 1e9).tolist(), strict=True))
+        contact = trace["contact_mm2"] > 0.0
+        for name, unit in (("force", "N"), ("torque", "Nm")):
+            size = np.linalg.norm(trace.vectors(f"model_{name}", unit), axis=1)
+            mean = float(size[contact].mean()) if contact.any() else 0.0
+            found[f"{name}_{unit}"] = {"peak": float(size.max()), "mean_in_contact": mean}
+        found |= self._timing_figures()
+        if self.parts.keep_clear is not None:
+            found["keep_clear"] = self.parts.keep_clear.summary()
+        if isinstance(tissue, HasHeat) and (heat_J := tissue.heat_balance_J) is not None:
+            found["heat_J"] = heat_J
+        if (limit := self.parts.motion.feed_limit) is not None:
+            found["feed_limit"] = asdict(limit)
+        if self.break_throughs:
+            found["break_through"] = [asdict(each) for each in self.break_throughs]
+        if isinstance(tissue, HasSummary):
+            found |= tissue.summary()
+        found["events"] = [{"time_s": time, "what": what} for time, what in self.events]
+        found["compute"] = self._compute
+        found |= self.parts.placement_record
+        machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}"
+        found["machine"] = f"{machine}, Python {platform.python_version()}"
+        found["notes"] = self.parts.notes
+        return found
+
+    def _timing_figures(self) -> Summary:
+        """Return the entries of the summary on tick cost, deadlines and scheduling."""
+        ticks = self.timing["tick_us"]
+        late = np.zeros(len(ticks))
+        exposed_s = 1e-6 * float(ticks.sum())
+        by_clock: Summary = {}
+        if "late_us" in self.timing:
+            late = self.timing["late_us"]
+            exposed_s = len(ticks) * TICK_S
+            by_clock = {"late_us": _spread(late), "skipped_ms": 1e-3 * float(self.timing["skipped_us"].sum())}
+        missed = int((ticks + late > DEADLINE_US).sum())
+        scheduling = {} if self.scheduling is None else self.scheduling.summary(ticks_s=exposed_s)
+        return {"tick_us": _spread(ticks), "missed_deadlines": missed, **by_clock, **scheduling}
 
     def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
-        """What was simulated, as pyvista shows it, in the scene's frame in mm.
+        """Return the tissue as a pyvista data set, in the scene's frame in mm.
 
         Voxels: an image with the cell arrays start and remaining (255 = full), layer, density_kg_m3. Elements: the mesh
         of the last frame with its fields.
@@ -176,14 +271,24 @@ class Run:
         InputError
             If the tissue has neither.
         """
-        fields = self.parts.fields
-        if self.parts.volume is None and fields is not None and fields.frames:
-            from tissue.simulation.series import frame_mesh
-
-            return frame_mesh(fields, fields.frames[-1])
         from tissue.simulation.bone_files import voxel_image
+        from tissue.simulation.saved_fields import SavedFields, field_names, require_whole
+        from tissue.simulation.series import frame_mesh
 
+        if self._saved is not None:
+            path = self._saved.path
+            if not (path / "bone.vti").is_file() and field_names(path):
+                require_whole(self._saved)
+                mesh: pyvista.UnstructuredGrid = SavedFields(path).frames[-1]
+                return mesh
+        elif self.parts.volume is None and self.parts.fields is not None and self.parts.fields.frames:
+            return frame_mesh(self.parts.fields, self.parts.fields.frames[-1])
         return voxel_image(self.volume, self.remaining)
+
+    def discard(self, why: str) -> None:
+        """Release a run that is not to be saved; its begun folder holds it as an interrupted one."""
+        if self.begun is not None:
+            self.begun.interrupt(why)
 
     def save(
         self,
@@ -194,7 +299,7 @@ class Run:
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
-        """Write the run's folder; see docs/files.md for its files.
+        """Write the run's folder; see docs/files.md for its files. A run that was read back is copied.
 
         Parameters
         ----------
@@ -203,37 +308,54 @@ class Run:
         formats
             Further formats: parquet, npz, mat or h5 of the trace; recording, the run in volumetric_drilling's layout.
         pictures
-            Whether to draw pictures, or their format, png, svg or pdf; where `draw` is given.
+            Whether the folder holds pictures, or their format, png, svg or pdf; a copy has those of its original.
         overwrite
             Replace a run that the folder already holds.
         progress
-            Called with what is being done.
+            Called with the present work.
 
         Raises
         ------
         InputError
             If the folder holds another run or a format is unknown.
         """
-        from tissue.simulation.bone_files import write_bone
-        from tissue.simulation.carving_series import write_carving
-        from tissue.simulation.picture_format import picture_format
-        from tissue.simulation.recording import write_formats
-        from tissue.simulation.series import write_fields
-        from tissue.simulation.trace_files import check_format
-
-        report = progress or silent
         formats = tuple(formats)
         for kind in formats:
             check_format(kind)
-        drawn = picture_format(pictures)
-        out = Path(out)
-        begun = self._folder is not None and self._folder.path == out
-        if begun and self._folder is not None:
-            folder, self._folder = self._folder, None  # what is saved once is another's to replace
-        else:
+        picture_kind = picture_format(pictures)
+        if self._saved is None:
+            self._write(Path(out), formats, picture_kind, overwrite=overwrite, report=progress or silent)
+            return Path(out)
+        if isinstance(pictures, str) and not list((self._saved.path / "pictures").glob(f"*.{picture_kind}")):
+            raise InputError(
+                f"pictures must be those that the folder has, got {picture_kind} for {self._saved.path}, which is not "
+                f"drawn again: use tissue run SCENE --pictures {picture_kind}"
+            )
+        copy_run(self._saved, Path(out), pictures=picture_kind is not None, overwrite=overwrite)
+        if formats:
+            from tissue.simulation.recording import write_formats
+
+            with added_to_run(Path(out)):
+                write_formats(self, Path(out), formats)
+        return Path(out)
+
+    def _write(
+        self, out: Path, formats: tuple[str, ...], picture_kind: str | None, *, overwrite: bool, report: Progress
+    ) -> None:
+        """Write the folder of a simulated run, or complete the one that was begun."""
+        from tissue.simulation.bone_files import write_bone
+        from tissue.simulation.carving_series import write_carving
+        from tissue.simulation.recording import write_formats
+        from tissue.simulation.series import write_fields
+
+        folder = self.begun
+        goes_on = folder is not None and folder.path == out
+        if folder is None or not goes_on:
             folder = RunFolder(out, overwrite=overwrite)
+        else:
+            self.begun = None  # a folder that was saved once may be replaced by another run
         with folder.ending():
-            if not begun:
+            if not goes_on:
                 folder.begin(self.scene, self.parts.placement)
                 folder.open_tables(self.trace, self.timing)
                 folder.flush(len(self.trace.rows), force=True)
@@ -246,19 +368,31 @@ class Run:
             if fields is not None and fields.frames:
                 report("writing the fields", 0.0)
                 write_fields(fields, out, self.parts.placement)
-            if drawn is not None and self.draw is not None:
+            if picture_kind is not None and self.draw is not None:
                 report("drawing pictures", 0.0)
-                notes = self.draw(self, out / "pictures", drawn)
+                notes = self.draw(self, out / "pictures", picture_kind)
                 if notes:
                     self.parts.notes["pictures"] = "; ".join(notes)
             folder.complete(self.summary)
-        return out
+
+    @property
+    def _files(self) -> SavedRun:
+        assert self._saved is not None
+        return self._saved
+
+    @cached_property
+    def _voxels(self) -> tuple[VoxelVolume, NDArray[np.uint8], NDArray[np.float64] | None]:
+        from tissue.simulation.bone_files import saved_voxels
+
+        return saved_voxels(self._files)
+
+    def _required(self, part: Part | None, name: str) -> Part:
+        """Return a part of the folder that must be there."""
+        if part is None:
+            raise InputError(f"run must hold {name}, got {self._files.path} without it: run the scene again")
+        return part
 
 
-def _spread(values: NDArray[np.float64]) -> dict[str, float]:
+def _spread(values: NDArray[np.float64]) -> dict[str, Any]:
     """Median, 99th percentile and maximum."""
-    return {
-        "median": float(np.median(values)),
-        "p99": float(np.percentile(values, 99)),
-        "max": float(values.max()),
-    }
+    return {"median": float(np.median(values)), "p99": float(np.percentile(values, 99)), "max": float(values.max())}

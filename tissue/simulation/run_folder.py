@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,16 +15,95 @@ from meshes.base.text_tables import read_json
 from meshes.base.whole_file import whole_file
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene, saved_text
+from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.simulation.run_files import named_as_run_files, run_file_names
 from tissue.simulation.run_summary import FORMAT, Summary, read_summary
 from tissue.simulation.trace import Table, TraceWriter
-from tissue.simulation.trace_files import read_trace
+from tissue.simulation.trace_files import FORMATS, read_trace
 from tissue.system.outputs import identity, is_alive
 from tissue.system.owned_folder import OwnedFolder, listed_files, require_folder
 from tissue.system.stopping import Terminated
 
-__all__ = ["FORMAT", "RunFolder", "SavedRun", "added_to_run", "copied_run", "files_of_run", "saved_placement"]
+__all__ = [
+    "FORMAT",
+    "PICTURE_FORMATS",
+    "RunFolder",
+    "SavedRun",
+    "added_to_run",
+    "copy_run",
+    "files_of_run",
+    "named_as_run_files",
+    "picture_format",
+    "run_file_names",
+    "saved_placement",
+]
+
+PICTURE_FORMATS = ("png", "svg", "pdf")
+FILES = (
+    "trace.csv",
+    *(f"trace.{kind}" for kind in FORMATS),
+    "recording.hdf5",
+    "timing.csv",
+    "scene.toml",
+    "summary.json",
+    "bone.vti",
+    "bone.nrrd",
+    "bone.stl",
+    "bone.vtp",
+    "carving.pvd",
+    "carving/poses.npz",
+    "carving/rest.vtp",
+    f"carving/frame_{4 * '[0-9]'}.vtp",
+    "fields.pvd",
+    f"fields/frame_{4 * '[0-9]'}.vtu",
+    "band.csv",
+    "band/samples.csv",
+    *(f"band/sample_{digits * '[0-9]'}.toml" for digits in range(1, 7)),
+    "report.html",
+)
+"""Names of a run's files in its folder, without the pictures."""
+PICTURES = (
+    "band",
+    "band_sobol",
+    "bone_before_after",
+    "force_depth",
+    "force_torque",
+    "held",
+    "played",
+    "press",
+    "removed_depth",
+    "section",
+)
+"""Names of pictures that runs of any scene may have; a kind of anatomy may add others."""
+
+
+def run_file_names() -> tuple[str, ...]:
+    """Return the names of all files that a run may write, some with ``[0-9]`` for a digit."""
+    added = {Path(name).stem for kind in ANATOMIES.known for name in ANATOMIES[kind].pictures}
+    stems = sorted({*PICTURES, *added})
+    return (*FILES, *(f"pictures/{stem}.{kind}" for stem in stems for kind in PICTURE_FORMATS))
+
+
+def named_as_run_files(path: Path) -> set[str]:
+    """Return the names of plain files in a folder that are names of a run's files."""
+    found = {each.relative_to(path).as_posix() for name in run_file_names() for each in path.glob(name)}
+    return {name for name in found if (path / name).is_file() and not (path / name).is_symlink()}
+
+
+def picture_format(pictures: bool | str) -> str | None:
+    """Return the format of the pictures: PNG for True, None for False.
+
+    Raises
+    ------
+    InputError
+        If it is none of `PICTURE_FORMATS`.
+    """
+    if isinstance(pictures, bool):
+        return PICTURE_FORMATS[0] if pictures else None
+    if pictures not in PICTURE_FORMATS:
+        raise InputError(f"pictures must be one of {', '.join(PICTURE_FORMATS)}, got {pictures}: choose one of these")
+    return pictures
+
 
 KEPT_SCENE = re.compile(r'format = \d+\ntissue = "[^"\n]*"\n')
 """Begin of the scene that a run keeps."""
@@ -87,10 +167,12 @@ class RunFolder:
         if not self._summary:
             return
         if isinstance(error, KeyboardInterrupt):
-            status, problem = "interrupted", error.name if isinstance(error, Terminated) else "Ctrl-C"
+            status = "interrupted"
+            problem = error.name if isinstance(error, Terminated) else "Ctrl-C"
         else:
             kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-            status, problem = "failed", kind + " ".join(str(error).split())
+            status = "failed"
+            problem = kind + " ".join(str(error).split())
         summary = {name: value for name, value in self._summary.items() if name != "process"}
         self._write_summary(summary | {"status": status, "problem": problem})
 
@@ -162,11 +244,13 @@ class SavedRun:
         self.summary: Summary = read_summary(self.path)
         self.status = _status_of(self.summary)
         self.problem = str(self.summary.get("problem", ""))
-        kept, table = self.path / "scene.toml", self.path / "trace.csv"
+        kept = self.path / "scene.toml"
+        table = self.path / "trace.csv"
         self.scene = load_scene(kept) if kept.is_file() else None
         self.trace = read_trace(table, tuple(self.summary.get("layers", ()))) if table.is_file() else None
         if self.complete and self.trace is not None:
-            stated, found = round(self.summary["simulated_s"] / TICK_S), len(self.trace.rows)
+            stated = round(self.summary["simulated_s"] / TICK_S)
+            found = len(self.trace.rows)
             if found != stated:
                 raise InputError(
                     f"trace.csv must hold {stated} ticks as in summary.json, got {found} in {table}: run the scene "
@@ -215,11 +299,26 @@ def added_to_run(path: Path) -> Iterator[None]:
         yield
 
 
-@contextmanager
-def copied_run(path: Path, *, overwrite: bool) -> Iterator[None]:
-    """Hold a folder while the block copies the files of another run into it."""
-    with _held(OwnedFolder(path, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(path))):
-        yield
+def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> None:
+    """Copy the files of a run that has ended into another folder; into its own folder nothing is copied.
+
+    Raises
+    ------
+    InputError
+        If the run goes on, or the folder holds another run.
+    """
+    if out.exists() and out.samefile(saved.path):
+        return
+    if saved.status == "running":
+        raise InputError(f"run must have ended to be copied, got {saved.path}, which goes on: wait for it")
+    names = files_of_run(saved.path)
+    with _held(OwnedFolder(out, "run", run_file_names(), overwrite=overwrite, adopted=_adopted(out))):
+        for name in names:
+            if not pictures and name.startswith("pictures/"):
+                continue
+            (out / name).parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(out / name) as temporary:
+                shutil.copyfile(saved.path / name, temporary)
 
 
 @contextmanager
@@ -242,7 +341,8 @@ def _adopted(path: Path) -> set[str]:
     """Files of a run that version 0.2 wrote, without a marker; none where the folder is no such run by its content."""
     if "run" in listed_files(path):
         return set()
-    kept, table = path / "scene.toml", path / "trace.csv"
+    kept = path / "scene.toml"
+    table = path / "trace.csv"
     try:
         saved = SavedRun(path)
         if saved.scene is None or not isinstance(saved.summary.get("tissue"), str):

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.file_limits import require_regular
-from tissue.simulation.run_folder import saved_placement
+from meshes.base.isolated_parser import parse_isolated
+from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.vtk_files import mesh_in_scene
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of"]
+__all__ = ["SavedFields", "field_label", "field_limits", "field_names", "field_values", "frames_of", "require_whole"]
 
 PEAK = 99.8
 """Percentile of a cell field that ends its scale: single cells at the tool lie above it."""
@@ -43,7 +44,8 @@ def field_label(name: str) -> tuple[str, str]:
     """Words and unit of a field: ``("von Mises", "kPa")`` of ``von_mises_kPa``; no unit is empty."""
     words, _, unit = name.rpartition("_")
     if unit not in UNITS:
-        words, unit = name, ""
+        words = name
+        unit = ""
     return words.replace("_", " ").replace("mises", "Mises"), UNITS.get(unit, "")
 
 
@@ -76,6 +78,28 @@ def frames_of(folder: Path) -> list[tuple[float, str]]:
     except (ElementTree.ParseError, KeyError, ValueError, LookupError):
         raise InputError(f"fields.pvd must be a ParaView collection, got {index}: run the scene again") from None
     return frames
+
+
+def require_whole(saved: SavedRun) -> None:
+    """Check that the bone and the frames of a run are not damaged, because VTK could end this process on such files.
+
+    Raises
+    ------
+    InputError
+        If a file is damaged or lacks what it should hold; the message names it.
+    """
+    wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
+    if (saved.path / "fields.pvd").is_file():
+        wanted |= {name: [] for _, name in frames_of(saved.path)}
+    there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
+    if there:
+        parse_isolated(
+            "meshes.surfaces.vtk_reading:check_vtk",
+            saved.path,
+            what="folder of a run",
+            remedy="run the scene again",
+            arrays_by_file=there,
+        )
 
 
 class SavedFields:
@@ -154,11 +178,13 @@ class SavedFields:
         Between two frames of the same mesh the values are interpolated linearly. Where cells went in between, it is the
         earlier frame.
         """
-        frames, times = self.frames, self.times_s
+        frames = self.frames
+        times = self.times_s
         index = int(np.clip(np.searchsorted(times, time_s + 1e-9) - 1, 0, len(times) - 1))
         if index + 1 == len(times) or time_s <= times[index] + 1e-9 or not self._same[index]:
             return frames[index], float(times[index])
-        early, late = frames[index], frames[index + 1]
+        early = frames[index]
+        late = frames[index + 1]
         share = np.float32((time_s - times[index]) / (times[index + 1] - times[index]))
         mesh: pyvista.UnstructuredGrid = early.copy(deep=False)
         for kept, first, second in (

@@ -32,7 +32,8 @@ class Scheduling:
     """
 
     def __init__(self, tissue: TissueModel, *, cores: int | None, spin_s: float) -> None:
-        self._cores, self._spin_s = cores or core_count(), spin_s
+        self._cores = cores or core_count()
+        self._spin_s = spin_s
         self._background = tissue.scheduling if isinstance(tissue, SchedulesBackground) else ""
         self.gaps = spin(spin_s) if spin_s > 0.0 else MachineGaps()
         self._before = self._after = launch_counts()
@@ -49,7 +50,8 @@ class Scheduling:
     @property
     def launches(self) -> LaunchCounts:
         """Large launches of the ticks, and how many were split."""
-        before, after = self._before, self._after
+        before = self._before
+        after = self._after
         return LaunchCounts(after.large - before.large, after.split - before.split)
 
     def summary(self, *, ticks_s: float) -> dict[str, Any]:

@@ -23,9 +23,11 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
 
     A run of ``path_s`` [s] as asked for that is shorter than its scripted motion is reported so.
     """
-    found, wanted_s = {}, parts.motion.duration_s - parts.motion.after_s
+    found = {}
+    wanted_s = parts.motion.duration_s - parts.motion.after_s
     if isinstance(scene.motion, ThrustMotion):
-        heading, wanted = -frame_along(scene.motion.axis)[:, 2], scene.motion.depth_mm
+        heading = -frame_along(scene.motion.axis)[:, 2]
+        wanted = scene.motion.depth_mm
         came = float((trace.vectors("tool", "mm") @ heading).max())
         if came < wanted - TOLERANCE_MM:
             found["path"] = (
@@ -74,6 +76,7 @@ def _missed_caries(parts: Parts) -> str:
 
 def _to_the_lesion(anatomy: MolarAnatomy, parts: Parts) -> str:
     """Where the caries lies, if known, and how to bring the tool to it."""
-    at, aimed = parts.notes.get("lesion"), anatomy.site == "caries" or parts.placement is None
+    at = parts.notes.get("lesion")
+    aimed = anatomy.site == "caries" or parts.placement is None
     how = "move motion.points_mm to it" if aimed else "set anatomy.site = caries, or move motion.points_mm to it"
     return (f" ({at})" if at else "") + f"; {how}"

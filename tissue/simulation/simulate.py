@@ -5,15 +5,13 @@ from contextlib import nullcontext, suppress
 from math import ceil, inf
 from pathlib import Path
 from time import perf_counter
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypedDict, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.builders.device import require_stated_rate
-from tissue.builders.parts import Parts
 from tissue.builders.registry import build
 from tissue.haptics.device.device import Device, device_parameters
 from tissue.haptics.device.safe_device import SafeDevice
@@ -26,48 +24,28 @@ from tissue.scene.scene import Scene
 from tissue.scene.unused_keys import require_used
 from tissue.simulation.break_through import break_throughs
 from tissue.simulation.loop import Loop, undisturbed
+from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
 from tissue.simulation.scheduling import Scheduling, spin_time_s
 from tissue.simulation.shortfalls import shortfalls
 from tissue.simulation.trace import Table
 
-__all__ = ["TICK_S", "RunObserver", "TakesEvents", "simulate", "tick_count"]
+__all__ = ["TICK_S", "RunObserver", "RunSettings", "simulate", "tick_count"]
 
 MOST_CORES = 4096
 """Most processor cores that may be asked for; more is taken for a slip."""
 
 
-class RunObserver(Protocol):
-    """What goes along with the ticks of a run, such as a clock on the wall; what they compute does not depend on it."""
+class RunSettings(TypedDict, total=False):
+    """Settings of `simulate` that do not change what is simulated."""
 
-    timing_columns: tuple[str, ...]
-    """Its own columns in the table of timing."""
-
-    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """The ticks begin, with what runs and the columns of its trace."""
-        ...
-
-    def before_tick(self, index: int) -> None:
-        """Wait until a tick may begin."""
-        ...
-
-    def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
-        """Take a tick's row of the trace and fill its own columns of its row of timing; whether the run goes on."""
-        ...
-
-    def on_end(self) -> list[tuple[float, str]]:
-        """The ticks have ended, or failed: what has happened, time [s] and a sentence each."""
-        ...
-
-
-@runtime_checkable
-class TakesEvents(Protocol):
-    """An observer that takes what the tissue reports in the tick in which it does."""
-
-    def on_event(self, time_s: float, what: str) -> None:
-        """Take what has happened at a time [s], a sentence."""
-        ...
+    compute: str
+    cores: int | None
+    out: str | Path | None
+    overwrite: bool
+    progress: Progress | None
+    allow_unstable: bool
 
 
 @runtime_checkable
@@ -149,65 +127,71 @@ def simulate(
                 device_parameters(scene.device, scene.constants),
                 remedy=f"state devices.{scene.device}.rate_Hz in a file of constants for the key materials",
             )
-            parts.motion.device, parts.motion.after_s = device, 0.0
+            parts.motion.device = device
+            parts.motion.after_s = 0.0
         ticks = tick_count(scene, parts.motion)
+        columns = observer.timing_columns if observer is not None else ()
+        loop = Loop(parts, ticks=ticks, output=scene.output, timing_columns=columns)
         if folder is not None:
             folder.begin(scene, parts.placement)
-        run = _loop(scene, parts, ticks, compute=compute, cores=cores, folder=folder, report=report, observer=observer)
-        run.parts.notes |= shortfalls(scene, parts, run.trace, path_s=ticks * TICK_S if device is None else inf)
+            folder.open_tables(loop.trace, loop.timing)
+        loop.place()
+        scheduling = _run_ticks(loop, ticks, cores=cores, folder=folder, report=report, observer=observer)
+        trace = loop.trace
+        if isinstance(parts.motion, MovedByDevice) and parts.motion.predictor is not None:
+            parts.notes |= _prediction_note(trace, parts.motion)
+        parts.notes |= shortfalls(scene, parts, trace, path_s=ticks * TICK_S if device is None else inf)
+        broke = []
+        if parts.volume is not None and parts.cutter is not None and parts.cutter.spin_rad_s != 0.0:
+            broke = break_throughs(parts.volume, trace, radius_m=parts.cutter.profile.radius_m)
+        through = [(each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke]
+        events = sorted(loop.events + parts.motion.happened() + through, key=lambda event: event[0])
+        run = Run(scene, parts, trace, loop.timing, events=events, poses=loop.poses, compute=compute)
+        run.begun = folder
+        run.scheduling = scheduling
+        run.break_throughs = broke
     return run
 
 
-def _loop(
-    scene: Scene,
-    parts: Parts,
+def _run_ticks(
+    loop: Loop,
     ticks: int,
     *,
-    compute: str,
     cores: int | None,
     folder: RunFolder | None,
     report: Progress,
     observer: RunObserver | None,
-) -> Run:
-    """All ticks of a run."""
-    motion = parts.motion
-    columns = observer.timing_columns if observer is not None else ()
-    loop = Loop(parts, ticks=ticks, output=scene.output, timing_columns=columns)
-    trace, timing = loop.trace, loop.timing
-    if folder is not None:
-        folder.open_tables(trace, timing)
-    loop.place()
-    reported_s = perf_counter()
-    if observer is not None:
-        observer.on_begin(parts, trace.columns)
-
-    takes = observer if isinstance(observer, TakesEvents) else None
+) -> Scheduling:
+    """Run all ticks of a loop with their observer, and report progress about ten times a second."""
+    trace = loop.trace
+    timing = loop.timing
+    each_row = observer is not None  # many rows at once would delay a tick that follows the wall clock
+    observer = observer or RunObserver()
+    motion = loop.parts.motion
 
     def go_through() -> None:
-        """Run the ticks with their observers, and report progress about ten times a second."""
-        nonlocal reported_s
-        goes_on, taken = True, 0
+        reported_s = perf_counter()
+        goes_on = True
+        taken = 0
         while goes_on and loop.ticks < ticks:
             loop.wait()
-            if observer is not None:
-                observer.before_tick(loop.ticks)
+            observer.before_tick(loop.ticks)
             row = loop.step()
-            while takes is not None and taken < len(loop.events):
-                takes.on_event(*loop.events[taken])
+            while taken < len(loop.events):
+                observer.on_event(*loop.events[taken])
                 taken += 1
-            goes_on = observer is None or observer.on_tick(row, trace.rows[row], timing.rows[row])
+            goes_on = observer.on_tick(row, trace.rows[row], timing.rows[row])
             if folder is not None:
-                folder.flush(
-                    loop.ticks, force=observer is not None
-                )  # a row a tick: many at once would make the next late
+                folder.flush(loop.ticks, force=each_row)
             if goes_on and perf_counter() - reported_s > 0.1:
                 reported_s = perf_counter()
                 report("simulating", loop.ticks / ticks)
 
-    spin_s = spin_time_s(ticks * TICK_S) if folder is not None else 0.0
-    gc.collect()
-    scheduling = Scheduling(parts.tissue, cores=cores, spin_s=spin_s)
     try:
+        observer.on_begin(loop.parts, trace.columns)
+        gc.collect()
+        spin_s = spin_time_s(ticks * TICK_S) if folder is not None else 0.0
+        scheduling = Scheduling(loop.parts.tissue, cores=cores, spin_s=spin_s)
         with undisturbed():
             if isinstance(motion, MovedByDevice):
                 run_held(go_through, motion.held)
@@ -219,39 +203,32 @@ def _loop(
                 folder.flush(loop.ticks, force=True)
         raise
     finally:
-        if observer is not None:
-            loop.events += observer.on_end()
+        loop.events += observer.on_end()
     scheduling.end()
     loop.finish()
     scheduling.look_again()
     loop.close()
     if folder is not None:
         folder.flush(loop.ticks, force=True)
-    if isinstance(motion, MovedByDevice) and motion.predictor is not None and (note := _foreseen(trace, motion)):
-        parts.notes["prediction"] = note
-    broke = []
-    if parts.volume is not None and parts.cutter is not None and parts.cutter.spin_rad_s != 0.0:
-        broke = break_throughs(parts.volume, trace, radius_m=parts.cutter.profile.radius_m)
-    through = [(each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke]
-    events = sorted(loop.events + motion.happened() + through, key=lambda event: event[0])
-    run = Run(scene, parts, trace, timing, events=events, compute=compute, folder=folder, poses=loop.poses)
-    run.scheduling, run.break_throughs = scheduling, broke
-    return run
+    return scheduling
 
 
-def _foreseen(trace: Table, motion: MovedByDevice) -> str:
-    """How near the predicted forces came to those that followed, in words; nothing where none did."""
-    predicted, came, ticks = trace.vectors("predicted_force", "N"), trace.vectors("raw_force", "N"), motion.lead_ticks
-    size, known = float(np.linalg.norm(came)), len(came) - ceil(ticks)
-    if size == 0.0 or not 0 < ticks < len(came) or motion.model_ticks > 1:
-        return ""
-    later = force_later_N(came, ticks)
-    missed, held = (100.0 * float(np.linalg.norm((later - f)[:known])) / size for f in (predicted, came))
-    share = 100.0 * float(trace["predicted_by"][np.any(came != 0.0, axis=1)].mean())
-    return (
-        f"{ticks:.3g} ms ahead, off by {missed:.2g} % of the force where holding it is off by {held:.2g} %; its "
-        f"own force in {share:.3g} % of the ticks in contact"
-    )
+def _prediction_note(trace: Table, motion: MovedByDevice) -> dict[str, str]:
+    """Return the error of the predicted forces as a note; no note without contact or for a slower model."""
+    predicted = trace.vectors("predicted_force", "N")
+    raw = trace.vectors("raw_force", "N")
+    ticks = motion.lead_ticks
+    size = float(np.linalg.norm(raw))
+    if size == 0.0 or not 0 < ticks < len(raw) or motion.model_ticks > 1:
+        return {}
+    known = len(raw) - ceil(ticks)
+    later = force_later_N(raw, ticks)
+    missed, held = (100.0 * float(np.linalg.norm((later - force)[:known])) / size for force in (predicted, raw))
+    share = 100.0 * float(trace["predicted_by"][np.any(raw != 0.0, axis=1)].mean())
+    return {
+        "prediction": f"{ticks:.3g} ms ahead, off by {missed:.2g} % of the force where holding it is off by "
+        f"{held:.2g} %; its own force in {share:.3g} % of the ticks in contact"
+    }
 
 
 def tick_count(scene: Scene, motion: Motion) -> int:

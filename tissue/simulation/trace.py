@@ -92,7 +92,8 @@ class TraceWriter:
     """
 
     def __init__(self, path: Path, table: Table) -> None:
-        self._table, self._path = table, path
+        self._table = table
+        self._path = path
         claim(path)
         self._file: TextIO = path.open("w", encoding="utf-8", newline="\n")
         self._written = 0

@@ -113,7 +113,8 @@ def _moved(mesh: Mesh, points: NDArray[np.float64], turn: NDArray[np.float64]) -
     """A copy of a mesh at other points, its vectors turned (rows times `turn`)."""
     import pyvista
 
-    moved, single = mesh.copy(deep=False), np.ascontiguousarray(points, dtype=np.float32)
+    moved = mesh.copy(deep=False)
+    single = np.ascontiguousarray(points, dtype=np.float32)
     moved.SetPoints(pyvista.vtk_points(single))  # type: ignore[arg-type]  # moved.points = would change the original
     for name, values in mesh.point_data.items():
         if values.ndim == 2 and values.shape[1] == 3:

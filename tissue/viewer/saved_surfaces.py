@@ -3,15 +3,12 @@
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.base.isolated_parser import parse_isolated
-from meshes.base.placement import Placement
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.registry import motion_of
 from tissue.figures.tool_mesh import tool_turns
@@ -22,13 +19,13 @@ from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
+from tissue.simulation.bone_files import read_voxels
 from tissue.simulation.bone_surface import smooth_normals
 from tissue.simulation.carved_surface import Box, CarvedSurface, changed_box
 from tissue.simulation.depth_map import facing, tool_axes
 from tissue.simulation.run_folder import SavedRun, saved_placement
-from tissue.simulation.saved_fields import SavedFields, frames_of
+from tissue.simulation.saved_fields import SavedFields
 from tissue.simulation.trace import Table
-from tissue.simulation.vtk_files import image_in_scene
 
 if TYPE_CHECKING:
     import pyvista
@@ -42,8 +39,6 @@ __all__ = [
     "cut_plane",
     "faces_of",
     "layer_faces",
-    "read_voxels",
-    "require_whole",
     "saved_fields",
     "tool_force",
     "wall_face",
@@ -57,28 +52,6 @@ FACE_MM = 30.0
 """Edge of a drawn piece of a face that goes on, and how far a wall goes beyond the path on it."""
 WALL_MESH_MM = 5.0
 """Width of the squares of a drawn wall."""
-
-
-def require_whole(saved: SavedRun) -> None:
-    """Refuse a run whose bone or frames are damaged, before VTK reads them in this process, which it could end.
-
-    Raises
-    ------
-    InputError
-        If a file is damaged or lacks what it should hold; the message names it.
-    """
-    wanted = {"bone.vti": ["remaining", "layer", "density_kg_m3"]} if saved.complete else {}
-    if (saved.path / "fields.pvd").is_file():
-        wanted |= {name: [] for _, name in frames_of(saved.path)}
-    there = {name: arrays for name, arrays in wanted.items() if (saved.path / name).is_file()}
-    if there:
-        parse_isolated(
-            "meshes.surfaces.vtk_reading:check_vtk",
-            saved.path,
-            what="folder of a run",
-            remedy="run the scene again",
-            arrays_by_file=there,
-        )
 
 
 def saved_fields(saved: SavedRun) -> SavedFields | None:
@@ -287,31 +260,6 @@ def _coarse(scene: Scene) -> VoxelVolume | None:
             scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
         )
     return None
-
-
-def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, NDArray[np.uint8]]:
-    """Return the voxels of ``bone.vti`` in the scene's frame before the first cut, and the remaining bone at the end.
-
-    Raises
-    ------
-    InputError
-        If the file is not one that a run wrote.
-    """
-    import pyvista
-
-    try:
-        image = image_in_scene(pyvista.read(file), placement)
-        shape = tuple(np.array(image.dimensions) - 1)
-        start, left, layer, density = (
-            np.ascontiguousarray(image.cell_data[name].reshape(shape, order="F"))
-            for name in ("start", "remaining", "layer", "density_kg_m3")
-        )
-        names = tuple(str(name) for name in image.field_data["layer_names"])
-    except (KeyError, ValueError, AttributeError, OSError):
-        raise InputError(f"bone.vti must be a file that a run wrote, got {file}: run the scene again") from None
-    return VoxelVolume(
-        1e-3 * np.array(image.origin), 1e-3 * float(image.spacing[0]), start, layer, density, names, placement
-    ), left
 
 
 def _smooth(surface: "pyvista.PolyData") -> "pyvista.PolyData":

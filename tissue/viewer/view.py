@@ -18,16 +18,16 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
 from tissue.builders.registry import motion_of
 from tissue.models.tissue_model import TICK_S
-from tissue.simulation.live.page import require_web
+from tissue.simulation.live.window import require_web
 from tissue.simulation.run_folder import SavedRun
-from tissue.simulation.saved_fields import SavedFields
+from tissue.simulation.saved_fields import SavedFields, require_whole
 from tissue.system.child import await_ready, child_command
 from tissue.system.offscreen import LONGEST_S, REMEDY, display_problem, draw_apart, drawing_environments
 from tissue.system.outputs import require_new_file
 from tissue.system.stopping import Terminated
 from tissue.viewer.export import check_movie, write_clean, write_movie
 from tissue.viewer.run_scene import Choice, times_of
-from tissue.viewer.saved_surfaces import require_whole, saved_fields
+from tissue.viewer.saved_surfaces import saved_fields
 from tissue.viewer.site_window import is_imported, show_site
 from tissue.viewer.window import Window
 

@@ -62,7 +62,7 @@ def test_what_cannot_be_compared_is_refused(run, tmp_path):
 
 
 def test_runs_of_other_kinds_stopped_or_elsewhere_are_named(run, wall, monkeypatch):
-    monkeypatch.setattr(wall._held, "_compute", "cuda:0")
+    monkeypatch.setattr(wall, "_compute", "cuda:0")
     found = tissue.compare(run, wall, names=["bone", "wall"])
     assert found.notes == [
         "the path of bone is not finished: the run ends at 0.3 s, the motion at 8.09 s; set duration_s = 8.09 or leave "

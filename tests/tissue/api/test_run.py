@@ -43,7 +43,7 @@ def test_what_a_run_does_not_have_is_refused(back, wall, tmp_path):
     for name in ("dataset", "surface", "replay"):
         with pytest.raises(InputError, match="run must have"):
             getattr(wall, name)()
-    there = tissue.open_run(tissue.Run(wall._held).save(tmp_path / "wall", pictures=False))
+    there = tissue.open_run(tissue.Run(wall).save(tmp_path / "wall", pictures=False))
     assert there.poses is None
     for name in ("dataset", "surface", "replay"):
         with pytest.raises(InputError, match="run must have"):

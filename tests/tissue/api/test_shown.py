@@ -32,7 +32,7 @@ def test_a_run_shows_figures_and_its_force(run, back):
 def test_what_is_shown_is_escaped(run):
     scene = tissue.load_scene("milling").model_copy(update={"description": "<script>"})
     assert "<script>" not in scene._repr_html_() and "&lt;script&gt;" in scene._repr_html_()
-    tissue.Run(run._held)  # a run of its own, for its notes are shared with the fixture's
+    tissue.Run(run)  # a run of its own, for its notes are shared with the fixture's
     run.parts.notes["mine"] = "<b>bold</b>"
     assert "&lt;b&gt;bold" in run._repr_html_()
     del run.parts.notes["mine"]
@@ -106,7 +106,7 @@ def test_show_draws_a_fresh_run_and_one_read_back(run, back, wall, tmp_path, mon
 def test_a_begun_folder_outlives_a_picture(tmp_path):
     """A run that streams into its folder is still saved there after it was written elsewhere."""
     run = tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.05}), out=tmp_path / "wall")
-    run._held.save(tmp_path / "shown", pictures=False)
+    super(tissue.Run, run).save(tmp_path / "shown", pictures=False)
     run.save(tmp_path / "wall", pictures=False)
     assert tissue.open_run(tmp_path / "wall").status == "complete"
 

@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from offered_package import offer_example, searching
 import tissue
 from tissue import InputError
 from tissue.api import sweep as module
-from tissue.api.sweep_plan import parse_values, planned
+from tissue.api.sweep import parse_values
 from tissue.api.sweep_table import SweptRun
 
 QUICK = {"voxels.spacing_mm": 0.5, "duration_s": 0.05}
@@ -35,6 +36,10 @@ def pressed():
 def out(tmp_path):
     """A folder that is not there yet."""
     return tmp_path / "sweep"
+
+
+def plan(scene, changes):
+    return module.planned(scene, changes, Path("out"))
 
 
 @pytest.mark.parametrize(
@@ -61,27 +66,27 @@ def test_values_that_are_missing_are_refused(text):
 
 
 def test_folders_are_named_by_the_swept_keys_alone(scene):
-    grid = planned(scene, {"motion.feed_mm_s": [2.0, 4.0], "voxels.margin_mm": [4.0], "tool.spin_rpm": [800, 1200]})
+    grid = plan(scene, {"motion.feed_mm_s": [2.0, 4.0], "voxels.margin_mm": [4.0], "tool.spin_rpm": [800, 1200]})
     assert [each.name for each in grid][:2] == ["feed_mm_s=2,spin_rpm=800", "feed_mm_s=2,spin_rpm=1200"]
     assert len(grid) == 4 and all(each.scene.voxels.margin_mm == 4.0 for each in grid)
     assert grid[3].scene.motion.feed_mm_s == 4.0 and grid[3].scene.tool.spin_rpm == 1200.0
     paths = [[[0, 0, 0], [0, 0, -1]], [[0, 0, 0], [1, 0, -1]]]
-    assert [each.name for each in planned(scene, {"motion.points_mm": paths})] == ["points_mm=no1", "points_mm=no2"]
-    assert [each.name for each in planned(scene, {"voxels.margin_mm": [4.0]})] == ["milling"]
+    assert [each.name for each in plan(scene, {"motion.points_mm": paths})] == ["points_mm=no1", "points_mm=no2"]
+    assert [each.name for each in plan(scene, {"voxels.margin_mm": [4.0]})] == ["milling"]
 
 
 def test_values_may_come_from_numpy(scene):
-    grid = planned(scene, {"motion.feed_mm_s": np.linspace(2.0, 4.0, 3), "tool.flutes": range(2, 4)})
+    grid = plan(scene, {"motion.feed_mm_s": np.linspace(2.0, 4.0, 3), "tool.flutes": range(2, 4)})
     assert [each.values["motion.feed_mm_s"] for each in grid[::2]] == [2.0, 3.0, 4.0]
     assert type(grid[0].values["motion.feed_mm_s"]) is float
 
 
 def test_what_makes_no_scene_is_refused(scene):
     with pytest.raises(InputError, match=r"motion\.fed must be one of"):
-        planned(scene, {"motion.fed": [1.0, 2.0]})
+        plan(scene, {"motion.fed": [1.0, 2.0]})
     for values in ("12", 3, []):
         with pytest.raises(InputError, match="seed must be given as a list of values"):
-            planned(scene, {"seed": values})
+            plan(scene, {"seed": values})
 
 
 @pytest.mark.slow

@@ -34,174 +34,104 @@ def write_stl(path, corners, faces):
     path.write_text("\n".join([*lines, "endsolid x", ""]))
 
 
-def test_a_scene_file_that_cannot_be_read_is_refused(refused, here, monkeypatch):
-    (here / "x.toml").write_text("name =\n")
-    assert refused("run", "x.toml") == (
-        "scene must be valid TOML, got invalid value (at line 1, column 7) in x.toml: mend it there"
-    )
-    (here / "x.toml").write_bytes(b"name = '\xff'")
-    assert refused("run", "x.toml") == "scene must be TOML in UTF-8, got other bytes in x.toml: save it as text"
-    (here / "x.toml").write_text("name = 'x'\n")
-    assert refused("run", "x.toml") == (
-        "anatomy must be given, got nothing: add [anatomy] with its entries, see `tissue scenes NAME`"
-    )
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"name =\n", ("scene", "line 1, column 7", "x.toml")),
+        (b"name = '\xff'", ("scene", "UTF-8", "x.toml")),
+        (b"name = 'x'\n", ("anatomy", "[anatomy]")),
+    ],
+    ids=["syntax", "bytes", "entry"],
+)
+def test_a_scene_file_that_cannot_be_read_is_refused(refused, here, content, words):
+    (here / "x.toml").write_bytes(content)
+    message = refused("run", "x.toml")
+    assert message.startswith(words[0]) and all(word in message for word in words)
+
+
+def test_a_scene_file_that_may_not_be_read_is_refused(refused, here, monkeypatch):
+    (here / "x.toml").touch()
 
     def closed(*_, **__):
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(Path, "read_text", closed)
-    assert refused("run", "x.toml") == (
-        "scene must be readable, got permission denied at x.toml: check who may read it"
-    )
+    message = refused("run", "x.toml")
+    assert message.startswith("scene ") and "permission denied at x.toml" in message
 
 
-def mesh_cases():
-    """Corners [file unit] and faces of surfaces that enclose no usable solid, and the messages."""
-    cube = np.array(CUBE_CORNERS, dtype=float) * 30.0
-    third = np.array([[15.0, 0, 0], [15.0, 30, 0], [15.0, 15, 30]])
-    yield (
-        "missing",
-        None,
-        None,
-        ("anatomy.file must exist, got {path}: check the path, which is taken from the working directory"),
-    )
-    yield "empty", (), (), "anatomy.file must hold a surface, got the empty file empty.stl: export it again"
-    yield (
-        "flat",
-        cube * (1, 1, 0),
-        CUBE_FACES,
-        ("anatomy.file must have thickness, got a flat one in flat.stl: use a closed surface"),
-    )
-    yield (
-        "open",
-        cube,
-        CUBE_FACES[2:],
-        (
-            "anatomy.file must show a glenoid of about 28 x 37 mm, got none in open.stl (best face 0.0 x 0.0 mm, score "
-            "1.00): check anatomy.scale_mm, or give anatomy.centre_mm and anatomy.normal"
-        ),
-    )
-    yield (
-        "fin",
-        np.vstack([cube, third]),
-        (*CUBE_FACES, (0, 1, 10)),
-        (
-            "anatomy.file must show a glenoid of about 28 x 37 mm, got none in fin.stl (best face 0.0 x 0.0 mm, score "
-            "1.00): check anatomy.scale_mm, or give anatomy.centre_mm and anatomy.normal"
-        ),
-    )
-    yield (
-        "tiny",
-        cube * 1e-9,
-        CUBE_FACES,
-        (
-            "anatomy.scale_mm must be given where the unit is not plain, got none for tiny.stl, whose longest side "
-            "3e-08 would be 3e-05 µm in millimetres and 0.03 µm in metres: use millimetres per unit, for example "
-            "4.7e+09"
-        ),
-    )
-    yield (
-        "huge",
-        cube * 1e6,
-        CUBE_FACES,
-        (
-            "anatomy.scale_mm must be given where the unit is not plain, got none for huge.stl, whose longest side "
-            "3e+07 would be 30 km in millimetres and 3e+04 km in metres: use millimetres per unit, for example 4.7e-06"
-        ),
-    )
+CUBE = np.array(CUBE_CORNERS, dtype=float) * 30.0
+FIN = np.vstack([CUBE, [[15.0, 0, 0], [15.0, 30, 0], [15.0, 15, 30]]])
+MESHES = {
+    "missing": (None, (), ("anatomy.file", "missing.stl")),
+    "empty": ((), (), ("anatomy.file", "empty file")),
+    "flat": (CUBE * (1, 1, 0), CUBE_FACES, ("anatomy.file", "thickness")),
+    "open": (CUBE, CUBE_FACES[2:], ("anatomy.file", "anatomy.scale_mm")),
+    "fin": (FIN, (*CUBE_FACES, (0, 1, 10)), ("anatomy.file", "anatomy.centre_mm")),
+    "tiny": (CUBE * 1e-9, CUBE_FACES, ("anatomy.scale_mm", "3e-05 µm", "4.7e+09")),
+    "huge": (CUBE * 1e6, CUBE_FACES, ("anatomy.scale_mm", "30 km", "4.7e-06")),
+}
+"""Corners [file unit] and faces of surfaces that enclose no usable solid, and what their messages name."""
 
 
-MESHES = list(mesh_cases())
-
-
-@pytest.mark.parametrize(("name", "corners", "faces", "sentence"), MESHES, ids=[case[0] for case in MESHES])
-def test_a_surface_that_encloses_no_bone_is_refused(refused, here, name, corners, faces, sentence):
+@pytest.mark.parametrize("name", MESHES)
+def test_a_surface_that_encloses_no_bone_is_refused(refused, here, name):
+    corners, faces, words = MESHES[name]
     path = here / f"{name}.stl"
     if name == "empty":
         path.touch()
     elif corners is not None:
         write_stl(path, corners, faces)
     message = refused("run", "glenoid", "--set", f"anatomy.file={path}")
-    assert message == sentence.format(path=path)
+    assert message.startswith(f"{words[0]} ") and all(word in message for word in (*words, path.name))
 
 
 def test_a_surface_of_absurd_scale_is_refused(refused, here):
-    write_stl(here / "bone.stl", np.array(CUBE_CORNERS) * 30.0, CUBE_FACES)
-    assert refused("run", "glenoid", "--set", "anatomy.file=bone.stl", "--set", "anatomy.scale_mm=1000") == (
-        "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 1000, which makes bone.stl 30 m long: use about 1"
-    )
+    write_stl(here / "bone.stl", CUBE, CUBE_FACES)
+    message = refused("run", "glenoid", "--set", "anatomy.file=bone.stl", "--set", "anatomy.scale_mm=1000")
+    assert message.startswith("anatomy.scale_mm ") and "bone.stl 30 m long" in message
 
 
-def test_what_is_no_image_is_not_asked_for_a_threshold(refused, here):
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [("notes.txt", ("anatomy.file", "notes.txt")), ("bone.mhd", ("anatomy.threshold", "bone.mhd"))],
+)
+def test_an_image_must_be_one_and_have_a_threshold(refused, here, file, words):
     (here / "notes.txt").write_text("a list", "utf-8")
-    assert refused("run", "milling", "--set", "anatomy.file=notes.txt").startswith(
-        "anatomy.file must be an image volume of a known format, got notes.txt: use a .nii.gz"
-    )
-
-
-def test_an_image_needs_a_threshold(refused, here):
-    assert refused("run", "milling", "--set", "anatomy.file=bone.mhd") == (
-        f"anatomy.threshold must be given for an image, got nothing for {here / 'bone.mhd'}: set the grey value above "
-        "which a voxel is bone"
-    )
+    message = refused("run", "milling", "--set", f"anatomy.file={file}")
+    assert message.startswith(f"{words[0]} ") and words[1] in message
 
 
 POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n"
 
 
 @pytest.mark.parametrize(
-    ("table", "sentence"),
+    ("table", "words"),
     [
-        (None, "motion.file must be an existing file of poses, got {path}: give a CSV such as a run's trace.csv"),
-        (
-            "time_s,tool_x_mm\n0,0\n",
-            "motion.file must have the columns tool_y_mm, tool_z_mm, tool_qx, tool_qy, "
-            "tool_qz, "
-            "tool_qw, got {path} without them: add them",
-        ),
-        (
-            POSES + "0,0,0,1,0,0,0,1\n1,0,nan,0,0,0,0,1\n",
-            "motion.file must hold finite numbers, got nan for tool_y_mm in line 3 of {path}: mend that line",
-        ),
-        (
-            POSES + "0,0,0,1,0,0,0,1\n1,0,up,0,0,0,0,1\n",
-            "motion.file must hold finite numbers, got up for tool_y_mm in line 3 of {path}: mend that line",
-        ),
-        (
-            POSES + "0,0,0,1,0,0,0,1\n1,0\n",
-            "motion.file must hold finite numbers, got nothing for tool_y_mm in line 3 of {path}: mend that line",
-        ),
-        (
-            POSES + "0,0,0,1,0,0,0,1\n2,0,0,0,0,0,0,1\n2,0,0,0,0,0,0,1\n",
-            "motion.file must have increasing time_s, got 2 after 2 in {path}: sort its rows",
-        ),
-        (POSES + "0,0,0,1,0,0,0,1\n", "motion.file must hold at least two poses, got 1 in {path}: record more"),
-        (POSES, "motion.file must hold at least two poses, got 0 in {path}: record more"),
-        (
-            POSES + "0,0,0,1,0,0,0,1\n4000,0,0,0,0,0,0,1\n",
-            "motion.file must last at most 3600 s, got 4000 in {path}: cut it",
-        ),
-        (
-            POSES + "0,0,0,1,0,0,0,0\n1,0,0,0,0,0,0,1\n",
-            "motion.file must hold unit quaternions, got one of length 0 at 0 s in {path}: give tool_qx, tool_qy, tool_qz and "
-            "tool_qw of a rotation, and 0, 0, 0, 1 for none",
-        ),
-        (b"\xff\xfe\x00", "motion.file must be a CSV table, got other data in {path}: export it as text"),
+        (None, ("{path}",)),
+        ("time_s,tool_x_mm\n0,0\n", ("tool_y_mm, tool_z_mm, tool_qx",)),
+        (POSES + "0,0,0,1,0,0,0,1\n1,0,nan,0,0,0,0,1\n", ("nan for tool_y_mm", "line 3")),
+        (POSES + "0,0,0,1,0,0,0,1\n1,0,up,0,0,0,0,1\n", ("up for tool_y_mm", "line 3")),
+        (POSES + "0,0,0,1,0,0,0,1\n1,0\n", ("nothing for tool_y_mm", "line 3")),
+        (POSES + "0,0,0,1,0,0,0,1\n2,0,0,0,0,0,0,1\n2,0,0,0,0,0,0,1\n", ("time_s", "2 after 2")),
+        (POSES + "0,0,0,1,0,0,0,1\n", ("two poses", "got 1")),
+        (POSES, ("two poses", "got 0")),
+        (POSES + "0,0,0,1,0,0,0,1\n4000,0,0,0,0,0,0,1\n", ("3600 s", "4000")),
+        (POSES + "0,0,0,1,0,0,0,0\n1,0,0,0,0,0,0,1\n", ("quaternions", "length 0 at 0 s")),
+        (b"\xff\xfe\x00", ("CSV",)),
     ],
     ids=["missing", "columns", "nan", "text", "gap", "order", "one", "none", "long", "quaternion", "binary"],
 )
-def test_a_bad_pose_table_is_refused(refused, here, table, sentence):
+def test_a_bad_pose_table_is_refused(refused, here, table, words):
     path = here / "poses.csv"
     if table is not None:
         path.write_bytes(table if isinstance(table, bytes) else table.encode())
     message = refused("run", "milling", *COARSE, "--set", "motion.kind=replay", "--set", "motion.file=poses.csv")
-    assert message == sentence.format(path=path)
+    assert message.startswith("motion.file ") and all(word.format(path=path) in message for word in words)
+    assert str(path) in message
 
 
 def test_a_thrust_that_starts_below_its_end_is_refused(refused, here):
     thrust = ("--set", "motion.kind=thrust", "--set", "motion.thrust_N=40", "--set", "motion.start_mm=[0,0,-3]")
-    assert refused("run", "milling", *COARSE, *thrust) == (
-        "motion.depth_mm must be greater than the depth of motion.start_mm along the feed (3), got 2: start "
-        "higher or go "
-        "deeper"
-    )
+    message = refused("run", "milling", *COARSE, *thrust)
+    assert message.startswith("motion.depth_mm ") and "(3)" in message and "got 2" in message

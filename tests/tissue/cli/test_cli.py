@@ -35,9 +35,10 @@ from tissue.scene.load import scene_names
         ),
         (
             ("run", "milling", "--overwite"),
-            "option must be one of --out, --seed, --duration-s, --set, "
-            "--fidelity, --compute, --cores, "
-            "--format, --pictures, --no-pictures, --band, --workers, --scheduler, --each-run, --live, --web, --slicer, --slicer-port, --slicer-drives, --ros2, --max-memory-GB, --overwrite, --allow-unstable, got --overwite (did you mean --overwrite?): see "
+            "option must be one of --out, --format, --pictures, --no-pictures, --seed, --duration-s, --set, "
+            "--fidelity, --compute, --cores, --max-memory-GB, --overwrite, --allow-unstable, --band, --workers, "
+            "--scheduler, --each-run, --live, --web, --slicer, --slicer-port, --slicer-drives, --ros2, "
+            "got --overwite (did you mean --overwrite?): see "
             "`tissue run --help`",
         ),
         (("run", "milling", "--duration-s"), "--duration-s must be given, got nothing: see `tissue run --help`"),

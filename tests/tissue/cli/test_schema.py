@@ -80,23 +80,15 @@ def test_the_schema_is_written_to_a_file_and_kept_unless_it_may_be_replaced(comm
 
 
 def test_bad_use_of_the_schema_is_refused(refused, tmp_path):
-    assert refused("schema", "--overwrite") == (
-        "--overwrite must be left out where the schema is printed, got it: give --out or leave it out"
-    )
-    assert refused("schema", "glenoid") == (
-        "tissue schema must be given nothing more, got glenoid: see `tissue schema --help`"
-    )
+    assert refused("schema", "--overwrite").startswith("--overwrite ")
+    assert "glenoid" in refused("schema", "glenoid")
     (tmp_path / "file").write_text("")
-    path = tmp_path / "none" / "scene.json"
-    assert refused("schema", "--out", path) == f"out must lie in a folder that exists, got {path}: create {path.parent}"
-    path = tmp_path / "file" / "scene.json"
-    assert refused("schema", "--out", path) == (
-        f"out must lie in a folder, got {path} under the file {path.parent}: choose another --out"
-    )
+    for place in (tmp_path / "none" / "scene.json", tmp_path / "file" / "scene.json"):
+        message = refused("schema", "--out", place)
+        assert message.startswith("out ") and str(place) in message
     for switch in ((), ("--overwrite",)):
-        assert refused("schema", "--out", tmp_path, *switch) == (
-            f"out must be a file, got the folder {tmp_path}: add the name of a file"
-        )
+        message = refused("schema", "--out", tmp_path, *switch)
+        assert message.startswith("out ") and f"the folder {tmp_path}" in message
 
 
 @pytest.mark.parametrize("name", scene_names())

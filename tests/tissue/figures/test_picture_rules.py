@@ -12,7 +12,7 @@ from tissue.figures.bone_pictures import _View, shown_mm
 from tissue.figures.figure import figure, save
 from tissue.figures.force_time import _compressed, draw_force_torque, joined_events, spells
 from tissue.simulation.depth_map import depth_map
-from tissue.simulation.picture_format import picture_format
+from tissue.simulation.run_folder import picture_format
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -40,7 +40,7 @@ def test_an_event_that_comes_again_at_once_is_marked_once():
 def molar():
     """The drilling of a molar down to its deepest point, without stress, in coarse voxels."""
     changes = {"voxels.spacing_mm": 0.2, "stress": None, "duration_s": 2.4}
-    return tissue.simulate(tissue.load_scene("molar", changes))._held
+    return tissue.simulate(tissue.load_scene("molar", changes))
 
 
 def test_the_camera_sees_the_bottom_of_a_cavity(molar):

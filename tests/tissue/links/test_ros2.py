@@ -9,6 +9,7 @@ import pytest
 from ros2_stand_in import LOG, write_packages
 
 from tissue import InputError, load_scene, simulate
+from tissue.simulation.live.run import LiveSettings
 from tissue.simulation.live.run import live as run_live
 from tissue.simulation.live.shared import SharedArrays
 
@@ -56,7 +57,7 @@ def values(entry):
 
 def test_a_run_is_on_the_topics_tick_for_tick_in_si(tmp_path, monkeypatch, no_display):
     log = install(tmp_path, monkeypatch)
-    run = run_live(load_scene("wall", SCENE), ros2=True)
+    run = run_live(load_scene("wall", SCENE), LiveSettings(ros2=True))
     found, trace = published(log), run.trace
     np.testing.assert_array_equal(trace.rows, simulate(load_scene("wall", SCENE)).trace.rows)
     shown = trace.rows[::8]
@@ -82,7 +83,7 @@ def test_a_run_is_on_the_topics_tick_for_tick_in_si(tmp_path, monkeypatch, no_di
 
 def test_without_messages_of_crtk_there_are_three_topics(tmp_path, monkeypatch, no_display):
     log = install(tmp_path, monkeypatch, crtk=False)
-    run = run_live(load_scene("wall", {**SCENE, "duration_s": 0.1}), ros2=True)
+    run = run_live(load_scene("wall", {**SCENE, "duration_s": 0.1}), LiveSettings(ros2=True))
     assert set(published(log)) == {*TOPICS, "shutdown"}
     assert run.parts.notes["ros2"].endswith(", ".join(TOPICS))
 
@@ -91,7 +92,7 @@ def test_a_middleware_that_does_not_start_is_refused_in_a_sentence(tmp_path, mon
     install(tmp_path, monkeypatch)
     monkeypatch.setenv("TISSUE_TEST_ROS2", "broken")
     with pytest.raises(InputError) as caught:
-        run_live(load_scene("wall", SCENE), ros2=True)
+        run_live(load_scene("wall", SCENE), LiveSettings(ros2=True))
     assert str(caught.value) == (
         "--live must publish the run for ROS 2, but RuntimeError: the middleware does not start: mend that, or run "
         "without --ros2"
@@ -101,7 +102,7 @@ def test_a_middleware_that_does_not_start_is_refused_in_a_sentence(tmp_path, mon
 def test_a_middleware_that_ends_leaves_the_run_whole(tmp_path, monkeypatch, no_display):
     install(tmp_path, monkeypatch)
     monkeypatch.setenv("TISSUE_TEST_ROS2", "dies")
-    run = run_live(load_scene("wall", {**SCENE, "duration_s": 1.5}), ros2=True)
+    run = run_live(load_scene("wall", {**SCENE, "duration_s": 1.5}), LiveSettings(ros2=True))
     assert len(run.trace.rows) == 1500
     assert [what for _, what in run.events if "ROS 2" in what] == [
         "publishing for ROS 2 ended by itself: RuntimeError: the middleware is gone"
@@ -135,7 +136,7 @@ def test_a_run_without_ticks_is_paused(tmp_path, monkeypatch):
 
 
 def test_without_ros_2_the_command_names_where_to_get_it(command, no_display, monkeypatch):
-    monkeypatch.setattr("tissue.simulation.live.ros2.find_spec", lambda name: None)
+    monkeypatch.setattr("tissue.simulation.live.publisher.find_spec", lambda name: None)
     code, _, problems = command("run", "wall", "--live", "--ros2")
     assert (
         code == 2

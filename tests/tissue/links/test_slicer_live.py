@@ -14,9 +14,10 @@ from tissue.links import igtl_messages as igtl
 from tissue.links.slicer_content import SlicerContent
 from tissue.links.slicer_frame import SlicerFrame
 from tissue.simulation.live.clock import WallClock
-from tissue.simulation.live.run import LiveObserver, live, moved_by
-from tissue.simulation.live.slicer import PORT, SlicerLink, SlicerObserver, require_link
+from tissue.simulation.live.run import LiveObserver, LiveSettings, live
+from tissue.simulation.live.slicer import PORT, SlicerLink, SlicerPublisher, require_link
 from tissue.simulation.live.window import CLOCK
+from tissue.simulation.observer import Observers
 
 pytest.importorskip("pyvista")
 
@@ -52,7 +53,7 @@ class Greeted:
 def test_a_client_sees_a_run_from_its_first_row_to_its_end_and_the_rows_are_those_without_it():
     greeted = Greeted()
     scene = load_scene("wall", {"duration_s": 0.4})
-    run = live(scene, slicer=SlicerLink(port=0, opened=greeted))
+    run = live(scene, LiveSettings(slicer=SlicerLink(port=0, opened=greeted)))
     messages = greeted.all()
     np.testing.assert_array_equal(run.trace.rows, simulate(scene).trace.rows)
     poses = [each.held["matrix"] for each in messages if each.name == "tissue-tool"]
@@ -84,21 +85,21 @@ def test_pyigtl_reads_what_is_sent():
         while not client.is_connected():
             time.sleep(0.01)
 
-    class Taking(SlicerObserver):
+    class Taking(SlicerPublisher):
         def on_tick(self, index, row, times):
             held.update({each.device_name: each for each in clients[0].get_latest_messages()})
             return super().on_tick(index, row, times)
 
     import tissue.simulation.live.run as live_run
 
-    before, live_run.SlicerObserver = live_run.SlicerObserver, Taking
+    before, live_run.SlicerPublisher = live_run.SlicerPublisher, Taking
     try:
         run = live(
             load_scene("milling", {"voxels.spacing_mm": 0.4, "duration_s": 0.5}),
-            slicer=SlicerLink(port=0, opened=opened),
+            LiveSettings(slicer=SlicerLink(port=0, opened=opened)),
         )
     finally:
-        live_run.SlicerObserver = before
+        live_run.SlicerPublisher = before
     held.update({each.device_name: each for each in clients[0].get_latest_messages()})
     clients[0].stop()
     volume = run.volume
@@ -124,7 +125,7 @@ def test_a_pose_of_a_client_moves_the_tool_on_the_devices_spring():
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]])
     first = load_scene("wall", {"anatomy.stiffness_kN_m": 40.0})
     greeted = Greeted(target((0.0, 0.0, -2.0), turn))
-    run = live(first, slicer=SlicerLink(port=0, drives=True, opened=greeted), duration_s=0.8)
+    run = live(first, LiveSettings(slicer=SlicerLink(port=0, drives=True, opened=greeted), duration_s=0.8))
     greeted.all()
     assert run.scene.device == "touch" and len(run.trace.rows) == 800
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
@@ -171,7 +172,7 @@ def test_a_run_goes_on_without_a_link_that_failed_unless_it_moves_the_tool(monke
         "tissue.simulation.live.slicer.SlicerProcess", lambda *a, **k: made.append(Fake(*a, **k)) or made[-1]
     )
     scene = load_scene("wall", {} if drives else {"duration_s": 0.7})
-    run = live(scene, slicer=SlicerLink(port=0, drives=drives), duration_s=0.7 if drives else None)
+    run = live(scene, LiveSettings(slicer=SlicerLink(port=0, drives=drives), duration_s=0.7 if drives else None))
     assert len(run.trace.rows) == (401 if drives else 700)
     (what,) = [what for _, what in run.events if "3D Slicer" in what]
     assert what == f"the link to 3D Slicer ended by itself{', and the run with it' if drives else ''}: MemoryError"
@@ -194,7 +195,7 @@ def test_what_the_tissue_reports_is_published_as_it_happens(monkeypatch):
     scene = load_scene("needle", {"duration_s": 1.2})
     box = lambda parts: (np.full(3, -1.0), np.full(3, 1.0))  # noqa: E731
     run = simulate(
-        scene, observer=SlicerObserver(scene, LiveObserver(scene, None, Unpaced(1e-3)), SlicerLink(), box=box)
+        scene, observer=Observers(LiveObserver(scene, None, Unpaced(1e-3)), SlicerPublisher(scene, SlicerLink(), box))
     )
     assert "the capsule is punctured" in made[0].reported[0]
     assert made[0].reported == [f"{time_s:.3f} s: {what}" for time_s, what in run.events]
@@ -206,7 +207,7 @@ def test_a_process_that_cannot_publish_ends_the_run_before_its_first_tick(monkey
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         with pytest.raises(InputError) as refused:
-            live(load_scene("wall"), slicer=SlicerLink(port=port))
+            live(load_scene("wall"), LiveSettings(slicer=SlicerLink(port=port)))
     assert str(refused.value).startswith(
         f"--live must publish the run for 3D Slicer, but port must be a free port of 127.0.0.1, got {port} ("
     )
@@ -222,7 +223,7 @@ def test_an_observer_that_fails_to_begin_ends_the_process(monkeypatch):
         raise OSError("the terminal is gone")
 
     with pytest.raises(OSError, match="the terminal is gone"):
-        live(load_scene("wall"), slicer=SlicerLink(port=0, opened=fails))
+        live(load_scene("wall"), LiveSettings(slicer=SlicerLink(port=0, opened=fails)))
     assert made[0].ended == 1
 
 
@@ -239,7 +240,7 @@ def test_a_second_mover_and_a_port_that_is_taken_are_refused_before_anything_is_
         port = other.getsockname()[1]
         with pytest.raises(InputError, match=rf"--slicer-port must be a free port of 127\.0\.0\.1, got {port} \("):
             require_link(SlicerLink(port=port), scene, web=True)
-    assert moved_by(scene, slicer=True)[0]
+    assert LiveSettings(slicer=link).mover(scene)[0]
 
 
 def test_the_command_publishes_and_prints_where(command, here):

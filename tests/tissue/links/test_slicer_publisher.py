@@ -13,8 +13,7 @@ from tissue.links import igtl_messages as igtl
 from tissue.links import slicer_process
 from tissue.links.slicer_frame import SlicerFrame
 from tissue.links.slicer_process import Publisher
-from tissue.simulation.live.shared import SharedArrays
-from tissue.simulation.live.tissues import BoneShared, NothingShared, OrganShared
+from tissue.simulation.live.shared import BoneShared, OrganShared, SharedArrays, SharedTissue
 from tissue.simulation.live.window import CLOCK
 
 pytest.importorskip("pyvista")
@@ -89,7 +88,7 @@ def stage(tmp_path):
 
     def make(run, shared=None, **options):
         if shared is None:
-            shared = NothingShared() if run.parts.volume is None else BoneShared(run.parts.tissue, run.volume)
+            shared = SharedTissue() if run.parts.volume is None else BoneShared(run.parts.tissue, run.volume)
         made.append(Stage(tmp_path, run, shared, **options))
         return made[-1]
 

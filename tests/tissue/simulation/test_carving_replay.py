@@ -81,7 +81,7 @@ def test_a_trace_alone_gives_the_bone_within_what_the_tool_goes_between_two_cuts
     axes = tool_axes(np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"]))
     velocities = np.hstack([1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")])
     again = Run(
-        run.scene, run.parts, trace, run.timing, events=[], compute="cpu", folder=None,
+        run.scene, run.parts, trace, run.timing, events=[],
         poses=poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes, velocities),
     )  # fmt: skip
     bone = again.replay().at(len(trace.rows) - 1)

@@ -16,7 +16,7 @@ import pytest
 from tissue import InputError, load_scene, simulate
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.simulation.live.clock import WallClock
-from tissue.simulation.live.run import LiveObserver, moved_by
+from tissue.simulation.live.run import LiveObserver, LiveSettings
 from tissue.simulation.live.run import live as run_live
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.simulate import TICK_S
@@ -139,7 +139,7 @@ def test_a_window_that_fails_ends_the_run_and_is_reported(monkeypatch):
 
 def test_what_moves_the_tool_is_reported_before_it_runs(monkeypatch):
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: "libGL is missing (install libgl1)")
-    assert moved_by(load_scene("wall", {"hand": "novice"})) == (
+    assert LiveSettings().mover(load_scene("wall", {"hand": "novice"})) == (
         False,
         "no window, for libGL is missing (install libgl1): a simulated novice moves it",
     )
@@ -237,7 +237,7 @@ def paged(monkeypatch):
 def test_a_page_needs_no_display_and_a_reset_begins_the_scene_again_in_the_same_folder(paged, tmp_path):
     pytest.importorskip("aiohttp")
     addresses, out = [], tmp_path / "run"
-    run = run_live(load_scene("wall"), out=out, opened=addresses.append)
+    run = run_live(load_scene("wall"), LiveSettings(opened=addresses.append), out=out)
     (page,) = FakePage.made
     assert addresses == ["http://127.0.0.1:1/?token=x"] and page.closed
     assert [window.shown for window in page.windows] == [200, 600]
@@ -261,7 +261,7 @@ def test_a_run_that_is_reset_is_kept_as_an_interrupted_one_until_the_next_begins
             found.append((saved.status, saved.problem, len(saved.trace.rows)))
         return simulate_once(scene, **options)
 
-    run_live(load_scene("wall"), out=tmp_path / "run", opened=lambda address: None)
+    run_live(load_scene("wall"), LiveSettings(opened=lambda address: None), out=tmp_path / "run")
     assert found == [("interrupted", "reset", 200)]
 
 
@@ -271,15 +271,15 @@ def test_a_page_is_refused_for_a_real_device_and_without_its_server(paged, monke
         with pytest.raises(
             InputError, match=r"^--web must be left out with a real device, which runs without any window"
         ):
-            run_live(load_scene("wall"), opened=lambda address: None)
-    monkeypatch.setattr("tissue.simulation.live.page.find_spec", lambda name: None)
+            run_live(load_scene("wall"), LiveSettings(opened=lambda address: None))
+    monkeypatch.setattr("tissue.simulation.live.window.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"^--web must have aiohttp .* got none: pip install 'tissue-sim\[web\]'$"):
-        run_live(load_scene("wall"), opened=lambda address: None)
+        run_live(load_scene("wall"), LiveSettings(opened=lambda address: None))
     assert not FakePage.made
 
 
 def test_a_page_that_cannot_be_served_is_refused_with_its_last_words(monkeypatch):
-    from tissue.simulation.live.page import Page, PageProcess
+    from tissue.simulation.live.window import Page, PageProcess
 
     tried = []
 
@@ -288,11 +288,11 @@ def test_a_page_that_cannot_be_served_is_refused_with_its_last_words(monkeypatch
         raise InputError("--live must serve its page, but EGL failed: install it")
 
     monkeypatch.setattr(PageProcess, "__init__", fails)
-    monkeypatch.setattr("tissue.simulation.live.page.drawing_environments", lambda: iter([{"A": "1"}, {"A": "2"}]))
+    monkeypatch.setattr("tissue.simulation.live.window.drawing_environments", lambda: iter([{"A": "1"}, {"A": "2"}]))
     with pytest.raises(InputError, match="EGL failed"):
         Page(tried.append).show(None, None, (), low_m=np.zeros(3), high_m=np.zeros(3))
     assert tried == [{"A": "1"}, {"A": "2"}]
-    monkeypatch.setattr("tissue.simulation.live.page.drawing_environments", lambda: iter(()))
+    monkeypatch.setattr("tissue.simulation.live.window.drawing_environments", lambda: iter(()))
     with pytest.raises(InputError, match="this machine has no OpenGL library"):
         Page(tried.append).show(None, None, (), low_m=np.zeros(3), high_m=np.zeros(3))
 

@@ -13,7 +13,7 @@ from tissue.haptics.device.recorded import RecordedDevice
 from tissue.models.tissue_model import Response
 from tissue.models.wall import WallModel
 from tissue.simulation.loop import Loop
-from tissue.simulation.prompt_loop import rendered_force_N
+from tissue.simulation.reference_force import rendered_force_N
 
 TICKS = 400
 

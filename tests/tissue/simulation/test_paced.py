@@ -7,7 +7,7 @@ from device_doubles import Recording
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.safe_device import SafeDevice
-from tissue.simulation.live.paced import Paced
+from tissue.simulation.live.clock import Paced
 
 SECONDS = 0.3
 

@@ -4,9 +4,9 @@ import threading
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.recorded import MouseDevice
-from tissue.simulation.live.clock import WallClock
-from tissue.simulation.live.prioritised import Prioritised
+from tissue.simulation.live.clock import Prioritised, WallClock
 from tissue.simulation.live.run import LiveObserver
+from tissue.simulation.observer import Observers
 from tissue.simulation.simulate import TICK_S
 
 HALF = {"duration_s": 0.5}
@@ -28,8 +28,9 @@ class FakePriority:
 
 def live_by(priority, changes=HALF, device=None):
     scene = load_scene("wall", {"device": "touch"} | changes)
-    observer = Prioritised(LiveObserver(scene, None, WallClock(TICK_S)), priority)
-    return simulate(scene, observer=observer, device=device), observer
+    prioritised = Prioritised(priority)
+    both = Observers(prioritised, LiveObserver(scene, None, WallClock(TICK_S)))
+    return simulate(scene, observer=both, device=device), prioritised
 
 
 def test_the_thread_of_the_ticks_has_its_priority_raised_while_they_run():
@@ -48,7 +49,7 @@ def test_ticks_that_leave_nothing_to_others_lose_their_priority(monkeypatch):
     priority = FakePriority()
     run, _ = live_by(priority)
     assert not any("ordinary priority" in what for _, what in run.events) and len(priority.asked) == 2
-    monkeypatch.setattr("tissue.simulation.live.prioritised.FULL", 0.0)
+    monkeypatch.setattr("tissue.simulation.live.clock.FULL", 0.0)
     run, _ = live_by(priority)
     assert [what for _, what in run.events if "ordinary priority" in what] == [
         "the ticks took over 0% of the time: they have ordinary priority from here"

@@ -10,7 +10,7 @@ from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.statistics.metrics import excess_error, force_error, latency_ms
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE
-from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.hand_motion import Rendering
 from tissue.prediction.predictor import Hold
 from tissue.simulation.reference_force import ideal_force_N, motor_forces, stretch_force_N
 
@@ -53,9 +53,7 @@ class Oracle(Hold):
 
 def run_with(monkeypatch, predictor, **changes):
     entries = {"device": "touch", "coupling.stiffness_N_m": STIFFNESS_N_M, "coupling.delay_ms": 4, "prediction": "hold"}
-    monkeypatch.setattr(
-        device_motion, "HandMotion", lambda *parts, **named: HandMotion(*parts, **(named | {"predictor": predictor}))
-    )
+    monkeypatch.setattr(device_motion, "Rendering", lambda **named: Rendering(**(named | {"predictor": predictor})))
     scene = load_scene("wall", entries | {"duration_s": 1e-3 * TICKS} | changes)
     return simulate(scene, device=Stepped(), allow_unstable=True)
 

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from kernels.launcher import LaunchCounts
 from tissue import load_scene, simulate
-from tissue.cli import run_table as command
+from tissue.cli import run as command
 from tissue.models.tissue_model import FreeSpace
 from tissue.simulation import scheduling
 from tissue.simulation.scheduling import SPUN_S, SPUN_SHARE, Scheduling, spin_time_s

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tissue import load_scene, simulate
-from tissue.simulation.live.shared import SharedArrays
-from tissue.simulation.live.tissues import TURN_TICKS, BoneShared
+from tissue.simulation.live.shared import TURN_TICKS, BoneShared, SharedArrays
 
 ROOT = Path(__file__).parents[3]
 

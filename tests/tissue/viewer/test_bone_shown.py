@@ -9,10 +9,11 @@ from recording_plotter import RecordingPlotter
 
 from tissue import InputError, load_scene, simulate
 from tissue.motion.pose_file import write_poses
+from tissue.simulation.bone_files import read_voxels
 from tissue.simulation.run_folder import SavedRun
 from tissue.viewer.bone import BoneShown
 from tissue.viewer.controls import LayerKeys
-from tissue.viewer.saved_surfaces import bone_of, read_voxels
+from tissue.viewer.saved_surfaces import bone_of
 
 
 def carved_bone(folder):

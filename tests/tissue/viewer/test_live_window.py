@@ -5,9 +5,8 @@ import pytest
 
 from tissue import load_scene, simulate
 from tissue.figures.force_depth import draw_wall
-from tissue.simulation.live.shared import SharedArrays
+from tissue.simulation.live.shared import BoneShared, OrganShared, SharedArrays
 from tissue.simulation.live.surfaces import FADES_MM, BoneSurface, OrganSurface
-from tissue.simulation.live.tissues import BoneShared, OrganShared
 from tissue.viewer.live.live_scene import LiveBone, LiveOrgan
 from tissue.viewer.live.target import KEY_MM, NOTCH_MM, Pointer
 from tissue.viewer.saved_surfaces import faces_of
@@ -139,7 +138,7 @@ def test_a_pressed_wall_is_drawn_for_the_report(tmp_path, device):
 def test_the_drawn_bone_loses_what_the_tool_removes(tmp_path, monkeypatch, block):
     pytest.importorskip("pyvista")
     if block == 4:
-        monkeypatch.setattr("tissue.simulation.live.tissues.MOST_SHOWN", 0)
+        monkeypatch.setattr("tissue.simulation.live.shared.MOST_SHOWN", 0)
     run = simulate(load_scene("milling", {"voxels.spacing_mm": 0.2, "duration_s": 0.001}))
     milling = run.parts.tissue
     shared = BoneShared(milling, run.volume)

@@ -76,6 +76,6 @@ def test_a_page_is_refused_for_an_imported_bone_and_without_its_server(whole, tm
     ):
         view(tmp_path, opened=print)
     monkeypatch.setattr("tissue.viewer.view.is_imported", lambda path: False)
-    monkeypatch.setattr("tissue.simulation.live.page.find_spec", lambda name: None)
+    monkeypatch.setattr("tissue.simulation.live.window.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"^--web must have aiohttp to serve its page, got none"):
         view(whole, opened=print)

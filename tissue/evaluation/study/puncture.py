@@ -20,7 +20,6 @@ more by its inertia, where dF is the fall of P; no hand can prevent it. What the
 the delay. And what the aim follows of the device's sudden advance in the part of that time beyond the reaction.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nan
 from typing import Literal
@@ -40,6 +39,7 @@ from tissue.models.needle.model import NeedleModel
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
+from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate
 
@@ -157,10 +157,8 @@ def pierce(
     return Pierced(run, bystander.puncture_s, hand.noticed_s, hand.stop_s, felt_N, aim_mm)
 
 
-class _Bystander:
+class _Bystander(RunObserver):
     """Observer of a run that shows a hand the tip, gives it its cue, and ends the run."""
-
-    timing_columns: tuple[str, ...] = ()
 
     def __init__(
         self, hand: PushingHand, notice: Notice, *, cue_after_s: float, frame_s: float, length_m: float
@@ -174,14 +172,11 @@ class _Bystander:
         self.puncture_s = inf
         self.rows: list[tuple[float, float]] = []
 
-    def on_begin(self, parts: Parts, columns: Sequence[str]) -> None:
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Look at the needle."""
         if not isinstance(parts.tissue, NeedleModel):
             raise InputError("scene must have a needle, got another tool: use the scene needle")
         self._needle = parts.tissue
-
-    def before_tick(self, index: int) -> None:
-        """Return at once: nothing is waited for."""
 
     def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
         """Show and cue what is due; whether the run goes on."""

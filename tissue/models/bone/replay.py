@@ -23,7 +23,7 @@ class CarvingReplay:
     cutter, removal
         The tool, and how it removes.
     poses
-        Poses of the run, see `tissue.simulation.tick.PoseLog`.
+        Poses of the run, see `tissue.simulation.loop.PoseLog`.
     device
         Warp device name; that of the run gives the same bits.
 

@@ -1,11 +1,24 @@
-"""Ticks against the wall clock: when each one is due, how late it began, and what happens when they fall behind."""
+"""Ticks against the wall clock: when each tick is due, how late it began, and the priority of its thread."""
 
 from collections.abc import Callable
 from time import perf_counter, sleep
 
-from meshes.base.errors import require_positive
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["BEHIND_S", "WallClock"]
+from meshes.base.errors import require_positive
+from tissue.models.tissue_model import TICK_S
+from tissue.simulation.observer import RunObserver
+from tissue.system.tick_priority import TickPriority
+
+__all__ = ["BEHIND_S", "LOOK_TICKS", "Paced", "Prioritised", "WallClock"]
+
+LOOK_TICKS = 200
+"""Ticks between two looks at the load of the ticks and at the processes of a live run."""
+FULL = 0.9
+"""Share of the time that ticks may take at a raised priority. Linux stops a real-time thread that takes 95 % of a
+second for the rest of it."""
+BEHIND = "the ticks were {:.3g} s behind the wall clock in all, which skipped it: the device was played later than that"
 
 BEHIND_S = 0.01
 """How late a tick may begin before what is lost is given up [s]: ten ticks can be made up without being felt."""
@@ -48,7 +61,8 @@ class WallClock:
     ) -> None:
         self._tick = require_positive("tick_s", tick_s, "use 1e-3")
         self._behind = require_positive("behind_s", behind_s, "use 0.01")
-        self._now, self._rest = now, rest
+        self._now = now
+        self._rest = rest
         self._start: float | None = None
         self.late_s = self.skipped_s = 0.0
 
@@ -63,7 +77,8 @@ class WallClock:
             now = self._now()
         while now < due:
             now = self._now()
-        self.late_s, self.skipped_s = now - due, 0.0
+        self.late_s = now - due
+        self.skipped_s = 0.0
         if self.late_s > self._behind:
             self._start += self.late_s
             self.skipped_s = self.late_s
@@ -72,3 +87,61 @@ class WallClock:
         """Move the schedule by a pause of the run, which is no lateness."""
         if self._start is not None:
             self._start += seconds
+
+
+class Paced(RunObserver):
+    """Starts each tick when it is due, for a run that a real device moves."""
+
+    def __init__(self, clock: WallClock | None = None) -> None:
+        self._clock = clock or WallClock(TICK_S)
+        self._skipped_s = 0.0
+
+    def before_tick(self, index: int) -> None:
+        """Wait until a tick is due."""
+        self._clock.wait(index)
+        self._skipped_s += self._clock.skipped_s
+
+    def on_end(self) -> list[tuple[float, str]]:
+        """Return by how much the wall clock was missed."""
+        return [(0.0, BEHIND.format(self._skipped_s))] if self._skipped_s > 0.0 else []
+
+
+class Prioritised(RunObserver):
+    """Raises the priority of the thread of the ticks, and restores it at the end.
+
+    It is restored earlier if the ticks would leave no time to others: the system would then stop them for longer than
+    ordinary priority delays them.
+
+    Attributes
+    ----------
+    note
+        Priority of the ticks, in words.
+    """
+
+    def __init__(self, priority: TickPriority | None = None) -> None:
+        self.note = ""
+        self._priority = priority or TickPriority()
+        self._busy_us = 0.0
+        self._restored: list[tuple[float, str]] = []
+
+    def before_tick(self, index: int) -> None:
+        """Raise the priority before the first tick: the ticks may have a thread of their own."""
+        if index == 0:
+            self._priority.begin()
+            self.note = self._priority.granted
+
+    def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
+        """Look at the load of the ticks now and then."""
+        self._busy_us += times[0]
+        if index % LOOK_TICKS == LOOK_TICKS - 1:
+            if self._busy_us > FULL * 1e6 * LOOK_TICKS * TICK_S and not self._restored:
+                self._priority.end()
+                what = f"the ticks took over {FULL:.0%} of the time: they have ordinary priority from here"
+                self._restored.append((float(row[0]), what))
+            self._busy_us = 0.0
+        return True
+
+    def on_end(self) -> list[tuple[float, str]]:
+        """Restore the priority."""
+        self._priority.end()
+        return self._restored

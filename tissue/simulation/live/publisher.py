@@ -1,22 +1,28 @@
-"""What publishes a live run in a process beside its ticks: begun with it, looked after by the ticks, ended with it."""
+"""Processes that publish a live run: begun with it, watched by its ticks, ended with it; the one for ROS 2."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from importlib.util import find_spec
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.errors import InputError
 from tissue.builders.parts import Parts
 from tissue.scene.scene import Scene
+from tissue.simulation.live.clock import LOOK_TICKS
 from tissue.simulation.live.window import WindowProcess
-from tissue.simulation.simulate import RunObserver, TakesEvents
+from tissue.simulation.observer import RunObserver
 
-__all__ = ["Publisher", "PublishingProcess"]
+__all__ = ["Publisher", "PublishingProcess", "Ros2Process", "Ros2Publisher", "require_ros2"]
 
-LOOK_TICKS = 200
-"""Ticks between two looks whether the process is still there."""
+NO_CLOCK = (0.0, 0.0, 0.0, 0.0)
+"""Clock that is sent to ROS 2, which shows none."""
+ROS2_PACKAGES = ("rclpy", "geometry_msgs")
 Array = NDArray[np.float64]
+Box = Callable[[Parts], tuple[Array, Array]]
+"""Gives the corners of the box about the path [m]."""
 
 
 class PublishingProcess(WindowProcess, ABC):
@@ -24,21 +30,19 @@ class PublishingProcess(WindowProcess, ABC):
 
     @abstractmethod
     def note(self) -> str:
-        """What was published, in half a sentence."""
+        """Return what was published, in half a sentence."""
 
 
 Process = TypeVar("Process", bound=PublishingProcess)
 
 
-class Publisher(ABC, Generic[Process]):
-    """Goes along with a live run and publishes it; the ticks never wait for its process, and go on without it.
+class Publisher(RunObserver, ABC, Generic[Process]):
+    """Publishes a live run; the ticks never wait for its process, and go on without it.
 
     Parameters
     ----------
     scene
-        What is run.
-    along
-        The run's other observer.
+        Scene of the run.
     box
         Gives the corners of the box about the path [m].
 
@@ -49,20 +53,20 @@ class Publisher(ABC, Generic[Process]):
     """
 
     what = ""
-    """What it is called where its process ends by itself."""
+    """Name of the process in the event of its end."""
     ends_run = False
     """Whether the run ends with its process."""
 
-    def __init__(self, scene: Scene, along: RunObserver, *, box: Callable[[Parts], tuple[Array, Array]]) -> None:
-        self.timing_columns = along.timing_columns
+    def __init__(self, scene: Scene, box: Box) -> None:
         self.note = ""
-        self._scene, self._along, self._box = scene, along, box
+        self._scene = scene
+        self._box = box
         self._process: Process | None = None
         self._failed: list[tuple[float, str]] = []
 
     @abstractmethod
     def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> Process:
-        """The process, begun for a run within a box [m]."""
+        """Begin the process for a run within a box [m]."""
 
     @abstractmethod
     def _show(self, process: Process, index: int, row: Array, times: Array) -> None:
@@ -71,54 +75,68 @@ class Publisher(ABC, Generic[Process]):
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Begin to publish."""
         self._process = self._begun(parts, columns, *self._box(parts))
-        try:
-            self._on_opened(self._process)
-            self._along.on_begin(parts, columns)
-        except BaseException:
-            self._process.end()
-            raise
-
-    def _on_opened(self, process: Process) -> None:
-        """What is done once the process is there, before the first tick."""
-
-    def before_tick(self, index: int) -> None:
-        """Wait with the other observer."""
-        self._along.before_tick(index)
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Publish the tick; whether the run goes on."""
-        goes_on = self._along.on_tick(index, row, times)
-        process = self._process
-        if process is None:
-            return goes_on
-        self._show(process, index, row, times)
-        if index % LOOK_TICKS == 0 and (words := process.failed()) is not None:
+        """Publish the tick; return whether the run goes on."""
+        if self._process is None:
+            return True
+        self._show(self._process, index, row, times)
+        if index % LOOK_TICKS == 0 and (words := self._process.failed()) is not None:
             with_run = ", and the run with it" * self.ends_run
             self._failed.append((float(row[0]), f"{self.what} ended by itself{with_run}: {words}"))
             self._end()
-            return goes_on and not self.ends_run
-        return goes_on
-
-    def on_event(self, time_s: float, what: str) -> None:
-        """Publish what has happened, and hand it on."""
-        if self._process is not None:
-            self._report(self._process, time_s, what)
-        along: Any = self._along
-        if isinstance(along, TakesEvents):
-            along.on_event(time_s, what)
-
-    def _report(self, process: Process, time_s: float, what: str) -> None:
-        """Tell the process what has happened, where it publishes that."""
+            return not self.ends_run
+        return True
 
     def on_end(self) -> list[tuple[float, str]]:
-        """End the other observer and the process."""
-        try:
-            return self._along.on_end() + self._failed
-        finally:
-            self._end()
+        """End the process."""
+        self._end()
+        return self._failed
 
     def _end(self) -> None:
         if self._process is not None:
-            process, self._process = self._process, None
+            process = self._process
+            self._process = None
             process.end()
             self.note = process.note()
+
+
+class Ros2Process(PublishingProcess):
+    """Process that publishes a run on topics of ROS 2 by the names of CRTK, as the ticks see it."""
+
+    module = "tissue.links.ros2"
+    place = "must publish the run for ROS 2"
+    remedy = "mend that, or run without --ros2"
+    shows_tissue = False
+
+    def note(self) -> str:
+        """Return what was published, in half a sentence."""
+        return f"published {int(self.frames)} times as {self.address}"
+
+
+class Ros2Publisher(Publisher[Ros2Process]):
+    """Publishes a live run on topics of ROS 2."""
+
+    what = "publishing for ROS 2"
+
+    def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> Ros2Process:
+        return Ros2Process(self._scene, parts, columns, low_m=low_m, high_m=high_m)
+
+    def _show(self, process: Ros2Process, index: int, row: Array, times: Array) -> None:
+        process.show(index, row, NO_CLOCK)
+
+
+def require_ros2() -> None:
+    """Check that the Python packages of ROS 2 are there.
+
+    Raises
+    ------
+    InputError
+        Names the missing package and how to get it.
+    """
+    missing = [name for name in ROS2_PACKAGES if find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"--ros2 must have the Python packages of ROS 2, got no {missing[0]}: source the setup.bash of an "
+            "installation, such as /opt/ros/jazzy, and run tissue with the Python that it is for"
+        )

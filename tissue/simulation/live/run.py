@@ -1,181 +1,208 @@
-"""A run against the wall clock: the ticks paced, the mouse as device where a window can open."""
+"""A run against the wall clock, with the mouse as device where a window can open."""
 
 import os
 import signal
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from time import perf_counter, sleep
 from types import FrameType
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.base.progress import Progress
 from tissue.builders.device import opened_device, opens_device
 from tissue.builders.parts import Parts
+from tissue.builders.registry import motion_of
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.scene import Scene
-from tissue.simulation.live.clock import BEHIND_S, WallClock
-from tissue.simulation.live.page import Page, require_web
-from tissue.simulation.live.prioritised import Prioritised
-from tissue.simulation.live.reach import reach_m, start_m
-from tissue.simulation.live.ros2 import Ros2Observer, require_ros2
-from tissue.simulation.live.slicer import SlicerLink, SlicerObserver, require_link
-from tissue.simulation.live.window import WindowProcess
+from tissue.scene.tool import Tool
+from tissue.simulation.live.clock import BEHIND_S, LOOK_TICKS, Prioritised, WallClock
+from tissue.simulation.live.publisher import Publisher, Ros2Publisher, require_ros2
+from tissue.simulation.live.slicer import SlicerLink, SlicerPublisher, require_link
+from tissue.simulation.live.window import Page, WindowProcess, require_web
+from tissue.simulation.observer import Observers, RunObserver
 from tissue.simulation.run import DEADLINE_US, Run
-from tissue.simulation.simulate import TICK_S, RunObserver, simulate
+from tissue.simulation.simulate import TICK_S, RunSettings, simulate
 from tissue.system.offscreen import await_display, display_problem
 
-__all__ = ["LiveObserver", "live", "moved_by"]
+__all__ = ["LiveObserver", "LiveSettings", "live", "reach_m", "start_m"]
 
 LONGEST_S = 600.0
 """How long a run by the mouse lasts without a duration [s]; its trace is held in memory."""
 REPLACED_DEVICE = "touch"
 """Device whose numbers a mouse takes in a scene without one."""
 ROAM_MM, ROAM_ON_WALL_MM = 8.0, 40.0
-"""How far from the scripted path the pointer may take the tool; a wall goes on for ever."""
+"""Distance from the scripted path to which the pointer may take the tool [mm]; a wall has no edge."""
+ABOVE_M, BELOW_M = 0.02, 0.01
+"""Distance to which the pointer may draw a tool back from the path and press a probe beyond it [m]. A cutting tool is
+pressed as far as there is bone beyond the reach of the script."""
 LOOK_S = 0.01
 """Time between two looks while the run waits [s]."""
-LOOK_TICKS = 200
-"""Ticks between two looks whether the window's process is still there and draws."""
 STALLED_S, HELD_S = 3.0, 60.0
 """How long a window may draw nothing before the run waits for it, and how long it waits [s]."""
 
 
-def moved_by(scene: Scene, *, web: bool = False, slicer: bool = False) -> tuple[bool, str]:
-    """Whether a person moves the tool of a live run by a pointer or in 3D Slicer, and what moves it, in a sentence."""
-    if slicer:
-        return True, "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the force is sent"
-    if web:
-        return True, "the mouse moves the tool in a browser; it feels nothing, the force is shown"
-    if opens_device(scene):
-        return False, f"the device {scene.device} moves the tool and plays the force; no window"
-    problem = display_problem()
-    if problem is None:
-        return True, "the mouse moves the tool in a window; it feels nothing, the force is shown"
-    script = "the scripted motion moves the tool" if scene.device == "none" else f"a simulated {scene.hand} moves it"
-    return False, f"no window, for {problem}: {script}"
+@dataclass(frozen=True, kw_only=True)
+class LiveSettings:
+    """Settings of a live run.
 
-
-def live(
-    scene: Scene,
-    *,
-    compute: str = "cpu",
-    cores: int | None = None,
-    out: Path | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-    allow_unstable: bool = False,
-    duration_s: float | None = None,
-    opened: Callable[[str], object] | None = None,
-    slicer: SlicerLink | None = None,
-    ros2: bool = False,
-) -> Run:
-    """Simulate a scene against the wall clock, in a window with the mouse as device or, without a display, scripted.
-
-    A device that was registered with what opens the real one is held, without a window. Else the tool hangs on the
-    mouse as on the scene's device, by the same spring, and the forces that the device would play are in the trace and
-    shown; in a scene without a device a mouse acts as a touch. A tick has missed its deadline if it is not done within
-    1 ms of when it was due. See `WallClock` for what happens when the ticks fall behind. The ticks have a raised
-    priority as far as the system grants one, which the note ``priority`` states. Ctrl-C or closing the window ends the
-    run, and what there is of it is a run like any other.
-
-    Parameters
+    Attributes
     ----------
-    scene, compute, cores, out, overwrite, progress, allow_unstable
-        As for `tissue.simulate`; a mouse cannot be unstable, for it feels nothing. Where a window opens, ``cores``
-        leaves one to it by default.
     duration_s
-        How long a run by the mouse lasts [s]; without it until the window is closed, 600 s at most. A scripted run
-        lasts as long as its scene states.
+        Duration of a run by the mouse [s]; None: until the window is closed, 600 s at most. A scripted run lasts as
+        long as its scene states.
     opened
-        Show the run in a browser in place of a window, and call this once with the address of its page. The ticks wait
-        until the page is open. It can reset the run: then the same scene is simulated from its start once more, and
-        of the run before only the rows stay, until those of the next replace them.
+        Shows the run in a browser instead of a window, and is called once with the address of its page. The ticks wait
+        until the page is open. The page can reset the run: the same scene is then simulated from its start once more,
+        and only the rows of the run before stay, until the rows of the next run replace them.
     slicer
-        Publish the run for 3D Slicer beside that, see `docs/guide/slicer.md`; where it also drives the tool, no window
-        opens.
+        Publishes the run for 3D Slicer, see `docs/guide/slicer.md`; no window opens if it also drives the tool.
     ros2
-        Publish the run on topics of ROS 2 beside that, see `docs/guide/ros2.md`.
-
-    Raises
-    ------
-    InputError
-        As `tissue.simulate`; if a display does not answer, or a window does not open on it, in time; if a page is
-        asked for with a real device, which only works without a window, or it cannot be drawn or served; if the port
-        for 3D Slicer is taken, or something else moves the tool; and if ROS 2 is asked for and not installed.
+        Publishes the run on topics of ROS 2, see `docs/guide/ros2.md`.
     """
-    page = None
-    by_slicer = slicer is not None and slicer.drives
-    if slicer is not None:
-        require_link(slicer, scene, web=opened is not None)
-    if ros2:
-        require_ros2()
-    if opened is None and not by_slicer:
-        await_display()
-    elif opened is not None:
+
+    duration_s: float | None = None
+    opened: Callable[[str], object] | None = None
+    slicer: SlicerLink | None = None
+    ros2: bool = False
+
+    @property
+    def by_slicer(self) -> bool:
+        """Whether a client of 3D Slicer moves the tool."""
+        return self.slicer is not None and self.slicer.drives
+
+    def mover(self, scene: Scene) -> tuple[bool, str]:
+        """Return whether a pointer or 3D Slicer moves the tool, and a sentence on what moves it."""
+        if self.by_slicer:
+            return True, "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the force is sent"
+        if self.opened is not None:
+            return True, "the mouse moves the tool in a browser; it feels nothing, the force is shown"
+        if opens_device(scene):
+            return False, f"the device {scene.device} moves the tool and plays the force; no window"
+        problem = display_problem()
+        if problem is None:
+            return True, "the mouse moves the tool in a window; it feels nothing, the force is shown"
+        script = (
+            "the scripted motion moves the tool" if scene.device == "none" else f"a simulated {scene.hand} moves it"
+        )
+        return False, f"no window, for {problem}: {script}"
+
+    def check(self, scene: Scene) -> None:
+        """Check that everything the settings ask for is there.
+
+        Raises
+        ------
+        InputError
+            If a display does not answer, a page cannot be served or is asked for with a real device, the port for 3D
+            Slicer is taken, something else moves the tool, or ROS 2 is not installed.
+        """
+        if self.slicer is not None:
+            require_link(self.slicer, scene, web=self.opened is not None)
+        if self.ros2:
+            require_ros2()
+        if self.opened is None:
+            if not self.by_slicer:
+                await_display()
+            return
         require_web()
         if opens_device(scene):
             raise InputError(
                 f"--web must be left out with a real device, which runs without any window, got {scene.device}: "
                 "leave it out, or set device = touch to use the mouse"
             )
-        page = Page(opened)
-    by_mouse, note = moved_by(scene, web=page is not None, slicer=by_slicer)
+
+
+def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSettings]) -> Run:
+    """Simulate a scene against the wall clock, in a window with the mouse as device or, without a display, scripted.
+
+    A registered device with a factory for the real one is used without a window. Otherwise the tool is coupled to the
+    mouse as to the scene's device, by the same spring, and the forces that the device would play are in the trace and
+    shown; in a scene without a device a mouse acts as a touch. A tick misses its deadline if it is not done within 1 ms
+    of its due time. See `WallClock` for ticks that fall behind. The ticks have a raised priority as far as the system
+    grants it; the note ``priority`` states it. Ctrl-C or closing the window ends the run, which is then a run like any
+    other.
+
+    Parameters
+    ----------
+    scene
+        Scene to simulate.
+    how
+        Settings of the live run.
+    settings
+        As of `tissue.simulation.simulate.simulate`; a mouse cannot be unstable, because it feels nothing. If a window
+        opens, ``cores`` leaves one core to it by default.
+
+    Raises
+    ------
+    InputError
+        As `tissue.simulate` and `LiveSettings.check`, or if a window or page does not open in time.
+    """
+    how = how or LiveSettings()
+    how.check(scene)
+    by_mouse, note = how.mover(scene)
     if by_mouse:
         device = REPLACED_DEVICE if scene.device == "none" else scene.device
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
         coupling = scene.coupling.model_copy(update={"roam_mm": scene.coupling.roam_mm or roam_mm})
-        changes = {"device": device, "duration_s": duration_s or LONGEST_S, "coupling": coupling}
+        changes = {"device": device, "duration_s": how.duration_s or LONGEST_S, "coupling": coupling}
         scene = scene.model_copy(update=changes)
-        cores = cores or max((os.cpu_count() or 2) - 1, 1)
+        settings["cores"] = settings.get("cores") or max((os.cpu_count() or 2) - 1, 1)
+        settings["allow_unstable"] = True
+    page = None if how.opened is None else Page(how.opened)
+    box = partial(reach_m, scene)
     try:
         while True:
             mouse = MouseDevice(start_m(scene)) if by_mouse else None
-            observer = LiveObserver(scene, None if by_slicer else mouse, WallClock(TICK_S), page)
-            prioritised = Prioritised(observer)
-            along: RunObserver = prioritised
-            linked = topics = None
-            if slicer is not None:
-                moved = mouse if by_slicer else None
-                along = linked = SlicerObserver(scene, along, slicer, box=partial(reach_m, scene), mouse=moved)
-            if ros2:
-                along = topics = Ros2Observer(scene, along, box=partial(reach_m, scene))
+            observer = LiveObserver(scene, None if how.by_slicer else mouse, WallClock(TICK_S), page)
+            prioritised = Prioritised()
+            publishers: dict[str, Publisher[Any]] = {}
+            if how.slicer is not None:
+                driven = mouse if how.by_slicer else None
+                publishers["slicer"] = SlicerPublisher(scene, how.slicer, box, driven)
+            if how.ros2:
+                publishers["ros2"] = Ros2Publisher(scene, box)
             run = simulate(
                 scene,
-                compute=compute,
-                cores=cores,
-                out=out,
-                overwrite=overwrite,
-                progress=progress,
-                allow_unstable=allow_unstable or by_mouse,
                 device=mouse if by_mouse else opened_device(scene),
-                observer=along,
+                observer=Observers(prioritised, observer, *publishers.values()),
+                **settings,
             )
             if not observer.reset:
                 break
             run.discard("reset")
-            overwrite = True
+            settings["overwrite"] = True
     finally:
         if page is not None:
             page.close()
-    run.parts.notes["live"] = note
-    run.parts.notes["priority"] = prioritised.note
-    if topics is not None:
-        run.parts.notes["ros2"] = topics.note
-    if linked is not None:
-        run.parts.notes["slicer"] = linked.note
+    run.parts.notes |= {"live": note, "priority": prioritised.note}
+    run.parts.notes |= {name: publisher.note for name, publisher in publishers.items()}
     if mouse is not None:
-        held = "a pose from 3D Slicer" if by_slicer else "a mouse"
+        held = "a pose from 3D Slicer" if how.by_slicer else "a mouse"
         run.parts.notes["coupling"] = f"{held} in place of the {scene.device} and its hand, " + scene.renderer
     return run
 
 
-class LiveObserver:
-    """What goes along with a live run: the clock, the window, and the wish to end it.
+def start_m(scene: Scene) -> tuple[float, float, float]:
+    """Return the start of the scripted motion [m]."""
+    x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0]
+    return float(x), float(y), float(z)
+
+
+def reach_m(scene: Scene, parts: Parts) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the corners of the box in which the pointer may move the tool [m]: around the scripted path."""
+    path = parts.motion.sweep_m()
+    axis = parts.motion.rotations()[0][:, 2]
+    below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
+    points = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
+    return points.min(axis=0), points.max(axis=0)
+
+
+class LiveObserver(RunObserver):
+    """Paces a live run, shows it in its window, and ends it on request.
 
     Parameters
     ----------
@@ -191,20 +218,27 @@ class LiveObserver:
     Attributes
     ----------
     reset
-        Whether a person wants the same scene once more from its start.
+        Whether the user asked for the same scene once more from its start.
     """
 
-    timing_columns: tuple[str, ...] = ("late_us", "skipped_us")
+    timing_columns = ("late_us", "skipped_us")
 
     def __init__(self, scene: Scene, mouse: MouseDevice | None, clock: WallClock, page: Page | None = None) -> None:
-        self._scene, self._mouse, self._clock, self._page = scene, mouse, clock, page
+        self._scene = scene
+        self._mouse = mouse
+        self._clock = clock
+        self._page = page
         self.reset = False
         self._window: WindowProcess | None = None
-        self._stopped, self._missed, self._skipped_s = False, 0, 0.0
+        self._stopped = False
+        self._missed = 0
+        self._skipped_s = 0.0
         self._events: list[tuple[float, str]] = []
         self._handler: Callable[[int, FrameType | None], object] | int | None = None
-        self._frames, self._drawn_s = -1, 0.0
-        self._start, self._scale = np.array(start_m(scene)), scene.coupling.motion_scale
+        self._frames = -1
+        self._drawn_s = 0.0
+        self._start = np.array(start_m(scene))
+        self._scale = scene.coupling.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from here on Ctrl-C ends the run after its tick."""
@@ -231,7 +265,8 @@ class LiveObserver:
 
     def on_tick(self, index: int, row: NDArray[np.float64], times: NDArray[np.float64]) -> bool:
         """Write lateness into a tick's row of timing and show the tick; whether the run goes on."""
-        late, skipped = 1e6 * self._clock.late_s, 1e6 * self._clock.skipped_s
+        late = 1e6 * self._clock.late_s
+        skipped = 1e6 * self._clock.skipped_s
         times[-2:] = late, skipped
         self._missed += times[0] + late > DEADLINE_US
         if skipped > 0.0:
@@ -264,7 +299,8 @@ class LiveObserver:
         """Let the run wait while its window draws nothing: nobody could see or move the tool."""
         began = now = perf_counter()
         if window.frames != self._frames:
-            self._frames, self._drawn_s = window.frames, now
+            self._frames = window.frames
+            self._drawn_s = now
         if now - self._drawn_s < STALLED_S:
             return
         while window.frames == self._frames and now - began < HELD_S and not self._stopped and not window.closed:
@@ -273,7 +309,8 @@ class LiveObserver:
             sleep(LOOK_S)
             now = perf_counter()
         self._clock.hold(now - began)
-        self._drawn_s, waited_s = now, now - began
+        self._drawn_s = now
+        waited_s = now - began
         if window.frames == self._frames and waited_s >= HELD_S:
             self._stopped = True
             self._events.append((index * TICK_S, f"the window drew nothing for {waited_s:.0f} s: the run ended"))

@@ -1,14 +1,25 @@
-"""Arrays that two processes see at once, in a file that stays in memory where the system has such a place."""
+"""Arrays that two processes see at once, in a file that stays in memory if the system supports that.
+
+The ticks update the arrays of a tissue at a cost of some microseconds a tick, and a window draws them.
+"""
 
 import json
 import mmap
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MEMORY", "AnyArray", "Layout", "SharedArrays"]
+from meshes.voxels.volume import VoxelVolume
+
+if TYPE_CHECKING:
+    from tissue.builders.parts import Parts
+    from tissue.models.bone.model import BoneModel
+
+__all__ = [
+    "MEMORY", "AnyArray", "BoneShared", "Layout", "OrganShared", "SharedArrays", "SharedTissue", "shared_tissue",
+]  # fmt: skip
 
 AnyArray = NDArray[Any]
 Layout = dict[str, tuple[str, tuple[int, ...]]]
@@ -19,6 +30,12 @@ TRIES = 20
 """How often a read is tried again."""
 ALIGNED = 64
 """Bytes to which every array is aligned: a line of the cache."""
+TURN_TICKS = 200
+"""Ticks in which every brick of a bone is copied once."""
+MOVED_TICKS = 33
+"""Ticks between two pictures of an organ's surface."""
+MOST_SHOWN = 600_000
+"""Voxels from which the window shows blocks of four by four by four instead of two by two by two."""
 
 
 class SharedArrays:
@@ -39,7 +56,8 @@ class SharedArrays:
         if layout is not None:
             (folder / "layout.json").write_text(json.dumps(layout), "utf-8")
         table: Layout = json.loads((folder / "layout.json").read_text("utf-8"))
-        places, end = {}, 0
+        places = {}
+        end = 0
         for name, (dtype, shape) in table.items():
             size = int(np.prod(shape)) * np.dtype(dtype).itemsize
             places[name] = (end, dtype, tuple(shape))
@@ -71,10 +89,121 @@ class SharedArrays:
 
     def read(self, name: str) -> tuple[int, NDArray[Any]] | None:
         """The number of an array's writes and a whole copy of it; None where a writer was busy, or died."""
-        turn, values = self._arrays[f"{name}_turn"], self._arrays[name]
+        turn = self._arrays[f"{name}_turn"]
+        values = self._arrays[name]
         for _ in range(TRIES):
             before = int(turn[0])
             copy = values.copy()
             if before % 2 == 0 and int(turn[0]) == before:
                 return before // 2, copy
         return None
+
+
+class SharedTissue:
+    """Shared arrays of a tissue; of a tissue that its scene and the trace describe, such as a wall, there are none.
+
+    Attributes
+    ----------
+    layout
+        Arrays that change during the run.
+    start
+        Arrays that a window needs at its start.
+    """
+
+    layout: Layout
+    start: dict[str, AnyArray]
+
+    def __init__(self) -> None:
+        self.layout = {}
+        self.start = {}
+
+    def publish(self, arrays: "SharedArrays", index: int) -> None:
+        """Update the arrays at the end of a tick, a part at a time."""
+
+
+class BoneShared(SharedTissue):
+    """The bricks of a bone, copied a slice a tick, so that every brick is at most `TURN_TICKS` ticks old.
+
+    Parameters
+    ----------
+    milling
+        The bone.
+    volume
+        Its voxels before the first cut.
+    """
+
+    def __init__(self, milling: "BoneModel", volume: VoxelVolume) -> None:
+        from kernels.bricks import BRICK  # with Warp, which a process that only reads does without
+
+        store = milling.store
+        self._remaining = store.remaining
+        count = len(store.places)
+        self._left: NDArray[np.uint16] | None = store.remaining.numpy() if store.remaining.device.is_cpu else None
+        self._slice = -(-count // TURN_TICKS)
+        self._count = count
+        block = 2 if np.prod(volume.shape, dtype=float) <= 8 * MOST_SHOWN else 4
+        grid = store.brick_of.shape
+        layer = np.zeros([n * BRICK // block for n in grid], dtype=np.uint8)
+        some = volume.layer[block // 2 :: block, block // 2 :: block, block // 2 :: block]
+        layer[tuple(slice(n) for n in some.shape)] = some
+        self.layout = {"remaining": ("uint16", (count, BRICK**3))}
+        self.start = {
+            "places": store.places,
+            "block": np.array(block),
+            "layer": layer,
+            "layer_names": np.array(volume.layer_names),
+            "origin_m": np.asarray(volume.origin_m),
+            "spacing_m": np.array(volume.spacing_m),
+        }
+
+    def publish(self, arrays: SharedArrays, index: int) -> None:
+        """Copy the next slice; at first all of them."""
+        first = 0
+        last = self._count
+        if index > 0:
+            first = self._slice * (index % TURN_TICKS)
+            last = min(first + self._slice, self._count)
+        if first < last:
+            left = self._remaining[first:last].numpy() if self._left is None else self._left[first:last]
+            arrays["remaining"][first:last] = left
+
+
+class OrganShared(SharedTissue):
+    """The surface of a soft organ that can be touched, as far as it has moved.
+
+    Parameters
+    ----------
+    organ
+        The organ; it holds `fields` and `displacement_m`.
+    """
+
+    def __init__(self, organ: Any) -> None:
+        self._organ = organ
+        series = organ.fields
+        touchable = series.node_sets["touchable"]
+        self.layout = {"moved": ("float32", (len(touchable), 3)), "moved_turn": ("int64", (1,))}
+        self.start = {
+            "nodes_m": series.nodes_m,
+            "cells": series.cells,
+            "part": series.layer,
+            "part_names": np.array(series.layer_names),
+            "touchable": touchable,
+        }
+
+    def publish(self, arrays: SharedArrays, index: int) -> None:
+        """Write the displacement where it is time."""
+        if index % MOVED_TICKS == 0:
+            arrays.write("moved", self._organ.displacement_m()[: len(arrays["moved"])])
+
+
+def shared_tissue(parts: "Parts") -> SharedTissue:
+    """Return the shared arrays of a run's tissue."""
+    from tissue.models.bone.model import BoneModel  # as above
+
+    tissue: Any = parts.tissue
+    milling = getattr(tissue, "milling", tissue)
+    if isinstance(milling, BoneModel) and parts.volume is not None:
+        return BoneShared(milling, parts.volume)
+    if hasattr(tissue, "displacement_m"):
+        return OrganShared(tissue)
+    return SharedTissue()

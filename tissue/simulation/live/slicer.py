@@ -14,12 +14,11 @@ from tissue.builders.parts import Parts
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
-from tissue.simulation.live.publisher import Publisher, PublishingProcess
+from tissue.simulation.live.publisher import Box, Publisher, PublishingProcess
 from tissue.simulation.live.shared import AnyArray, Layout
 from tissue.simulation.run import DEADLINE_US
-from tissue.simulation.simulate import RunObserver
 
-__all__ = ["PORT", "SlicerLink", "SlicerObserver", "SlicerProcess", "require_link"]
+__all__ = ["PORT", "SlicerLink", "SlicerProcess", "SlicerPublisher", "require_link"]
 
 PORT = 18944
 """Port of OpenIGTLink."""
@@ -104,8 +103,10 @@ class SlicerProcess(PublishingProcess):
             density = volume.density_kg_m3 * (volume.fraction / FULL)
             start["density_kg_m3"] = np.rint(density).astype(np.uint16)
         super().__init__(scene, parts, columns, low_m=low_m, high_m=high_m, more_layout=layout, more_start=start)
-        self._target_turn, self._taken = self.arrays["target_turn"], 0
-        self._events, self._events_count = self.arrays["events"], self.arrays["events_count"]
+        self._target_turn = self.arrays["target_turn"]
+        self._taken = 0
+        self._events = self.arrays["events"]
+        self._events_count = self.arrays["events_count"]
         self._ignored = "were no pose of a tool, or of a second client" if link.drives else "need --slicer-drives"
 
     def target(self) -> tuple[Triple, Quaternion] | None:
@@ -121,7 +122,8 @@ class SlicerProcess(PublishingProcess):
         """Send a sentence."""
         text = np.frombuffer(what.encode()[:EVENT_BYTES], dtype=np.uint8)
         slot = self._events[int(self._events_count[0]) % EVENTS]
-        slot[: len(text)], slot[len(text) :] = text, 0
+        slot[: len(text)] = text
+        slot[len(text) :] = 0
         self._events_count[0] += 1
 
     def note(self) -> str:
@@ -135,45 +137,44 @@ class SlicerProcess(PublishingProcess):
         return ", ".join(words)
 
 
-class SlicerObserver(Publisher[SlicerProcess]):
-    """Publishes a live run for 3D Slicer, a client of which may move the tool; further arguments as for `Publisher`.
+class SlicerPublisher(Publisher[SlicerProcess]):
+    """Publishes a live run for 3D Slicer, a client of which may move the tool.
 
-    The last columns of timing of the other observer are how late a tick began and what was skipped [µs].
+    The last columns of timing are the delay of a tick and the skipped time [µs].
 
     Parameters
     ----------
+    scene, box
+        As of `Publisher`.
     link
-        How it is linked.
+        Port, and whether a client drives the tool.
     mouse
-        The device that a client's transform moves, with which the run ends where the link does; None for none.
+        Device that a client's transform moves; the run then ends with the link. None if nothing is moved.
     """
 
     what = "the link to 3D Slicer"
 
-    def __init__(
-        self,
-        scene: Scene,
-        along: RunObserver,
-        link: SlicerLink,
-        *,
-        box: Callable[[Parts], tuple[Array, Array]],
-        mouse: MouseDevice | None = None,
-    ) -> None:
-        super().__init__(scene, along, box=box)
-        self._link, self._mouse, self.ends_run = link, mouse, mouse is not None
-        self._missed, self._skipped_us = 0, 0.0
+    def __init__(self, scene: Scene, link: SlicerLink, box: Box, mouse: MouseDevice | None = None) -> None:
+        super().__init__(scene, box)
+        self._link = link
+        self._mouse = mouse
+        self.ends_run = mouse is not None
+        self._missed = 0
+        self._skipped_us = 0.0
 
     def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> SlicerProcess:
-        self._start, self._scale = parts.motion.sweep_m()[0], self._scene.coupling.motion_scale
+        self._start = parts.motion.sweep_m()[0]
+        self._scale = self._scene.coupling.motion_scale
         return SlicerProcess(self._scene, parts, columns, low_m=low_m, high_m=high_m, link=self._link)
 
-    def _on_opened(self, process: SlicerProcess) -> None:
-        if self._link.opened is not None:
-            self._link.opened(process.address)
+    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
+        """Begin to publish, and report the address."""
+        super().on_begin(parts, columns)
+        if self._link.opened is not None and self._process is not None:
+            self._link.opened(self._process.address)
 
     def before_tick(self, index: int) -> None:
-        """Wait with the other observer; take where a client wants the tool by then."""
-        super().before_tick(index)
+        """Take the pose that a client wants for the tool."""
         if self._mouse is None or self._process is None:
             return
         wanted = self._process.target()
@@ -182,10 +183,14 @@ class SlicerObserver(Publisher[SlicerProcess]):
             self._mouse.push((x, y, z), wanted[1])
 
     def _show(self, process: SlicerProcess, index: int, row: Array, times: Array) -> None:
-        tick_us, late_us, skipped_us = float(times[0]), float(times[-2]), float(times[-1])
+        tick_us = float(times[0])
+        late_us = float(times[-2])
+        skipped_us = float(times[-1])
         self._missed += tick_us + late_us > DEADLINE_US
         self._skipped_us += skipped_us
         process.show(index, row, (tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us))
 
-    def _report(self, process: SlicerProcess, time_s: float, what: str) -> None:
-        process.report(f"{time_s:.3f} s: {what}")
+    def on_event(self, time_s: float, what: str) -> None:
+        """Publish an event."""
+        if self._process is not None:
+            self._process.report(f"{time_s:.3f} s: {what}")

@@ -34,7 +34,7 @@ class BoneSurface:
     Parameters
     ----------
     start, arrays
-        As `tissue.simulation.live.tissues.BoneShared` shares them.
+        As `tissue.simulation.live.shared.BoneShared` shares them.
 
     Attributes
     ----------
@@ -46,9 +46,11 @@ class BoneSurface:
 
     def __init__(self, start: Start, arrays: SharedArrays) -> None:
         self._remaining = arrays["remaining"]
-        self._places, self._block = start["places"].astype(np.intp), int(start["block"])
+        self._places = start["places"].astype(np.intp)
+        self._block = int(start["block"])
         self._seen = self._remaining.copy()
-        layer, names = start["layer"].astype(np.uint8), tuple(str(name) for name in start["layer_names"])
+        layer = start["layer"].astype(np.uint8)
+        names = tuple(str(name) for name in start["layer_names"])
         spacing = self._block * float(start["spacing_m"])
         self._fraction = np.zeros(layer.shape, dtype=np.uint8)
         density = np.zeros(layer.shape, dtype=np.uint16)
@@ -69,7 +71,8 @@ class BoneSurface:
 
     def _fill(self, rows: NDArray[np.intp]) -> None:
         """Bring the blocks of some bricks up to date."""
-        block, count = self._block, BRICK // self._block
+        block = self._block
+        count = BRICK // self._block
         bricks = self._seen[rows].reshape(-1, 4, 4, 4, 2, 2, 2).transpose(0, 1, 4, 2, 5, 3, 6)
         parts = bricks.reshape(-1, count, block, count, block, count, block)
         means = np.rint(parts.mean(axis=(2, 4, 6)) / 257.0).astype(np.uint8)
@@ -84,7 +87,7 @@ class OrganSurface:
     Parameters
     ----------
     start, arrays
-        As `tissue.simulation.live.tissues.OrganShared` shares them.
+        As `tissue.simulation.live.shared.OrganShared` shares them.
 
     Attributes
     ----------
@@ -97,8 +100,10 @@ class OrganSurface:
     def __init__(self, start: Start, arrays: SharedArrays) -> None:
         import pyvista
 
-        self._arrays, self._turn = arrays, 0
-        cells, nodes = start["cells"], 1e3 * start["nodes_m"].astype(np.float64)
+        self._arrays = arrays
+        self._turn = 0
+        cells = start["cells"]
+        nodes = 1e3 * start["nodes_m"].astype(np.float64)
         grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: cells[:, :4]}, nodes)
         self.surface = grid.extract_surface(algorithm="dataset_surface")
         ids = np.asarray(self.surface.point_data["vtkOriginalPointIds"])
@@ -108,7 +113,8 @@ class OrganSurface:
         self._rest = np.array(self.surface.points, dtype=np.float64)
         self.surface.clear_data()
         self._known: NDArray[np.bool_] | None = None
-        self._nearest, self._share = np.zeros(0, dtype=np.intp), np.zeros(0)
+        self._nearest = np.zeros(0, dtype=np.intp)
+        self._share = np.zeros(0)
         self.touchable_mm: Array = self._rest[self._row >= 0]
 
     def update(self) -> bool:

@@ -5,7 +5,8 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import gettempdir, mkdtemp
 
@@ -15,11 +16,11 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from tissue.builders.parts import Parts
 from tissue.scene.scene import Scene
-from tissue.simulation.live.shared import MEMORY, AnyArray, Layout, SharedArrays
-from tissue.simulation.live.tissues import NothingShared, TissueShared, shared_tissue
+from tissue.simulation.live.shared import MEMORY, AnyArray, Layout, SharedArrays, SharedTissue, shared_tissue
 from tissue.system.child import await_ready, child_command
+from tissue.system.offscreen import REMEDY, drawing_environments
 
-__all__ = ["CLOCK", "LOADS", "WindowProcess"]
+__all__ = ["CLOCK", "LOADS", "Page", "PageProcess", "WindowProcess", "require_web"]
 
 MODULE = "tissue.viewer.live.live_window"
 """What is run in the other process; it lies above and is named, not imported."""
@@ -91,7 +92,7 @@ class WindowProcess:
         more_start: Mapping[str, AnyArray] | None = None,
     ) -> None:
         self._folder = _new_folder()
-        self._shared: TissueShared = shared_tissue(parts) if self.shows_tissue else NothingShared()
+        self._shared = shared_tissue(parts) if self.shows_tissue else SharedTissue()
         layout: Layout = {
             "row": ("float64", (len(columns) + len(CLOCK),)),
             "row_turn": ("int64", (1,)),
@@ -108,11 +109,14 @@ class WindowProcess:
         }
         self.arrays = SharedArrays(self._folder, layout | self._shared.layout | (more_layout or {}))
         self._row = np.zeros(len(columns) + len(CLOCK))
-        self._turn, self._closed = self.arrays["pointer_turn"], self.arrays["closed"]
+        self._turn = self.arrays["pointer_turn"]
+        self._closed = self.arrays["closed"]
         self._drawn, self._held, self._resets = (self.arrays[name] for name in ("frames", "paused", "resets"))
-        self._loads, self._count = self.arrays["loads"], self.arrays["loads_count"]
+        self._loads = self.arrays["loads"]
+        self._count = self.arrays["loads_count"]
         self._load = np.array([columns.index(name) for name in LOAD], dtype=np.intp)
-        self._seen, self._reset = 0, 0
+        self._seen = 0
+        self._reset = 0
         (self._folder / "scene.json").write_text(
             scene.model_dump_json(exclude_unset=True), "utf-8"
         )  # as it is, changed for the mouse
@@ -170,7 +174,8 @@ class WindowProcess:
         """Show another run of the same scene from its start."""
         self._shared = shared_tissue(parts)
         self._shared.publish(self.arrays, 0)
-        self._reset, self._seen = int(self._resets[0]), int(self._turn[0])
+        self._reset = int(self._resets[0])
+        self._seen = int(self._turn[0])
         self.arrays["runs"][0] += 1
 
     def failed(self) -> str | None:
@@ -188,7 +193,8 @@ class WindowProcess:
     def show(self, index: int, row: NDArray[np.float64], clock: tuple[float, float, float, float]) -> None:
         """Send a tick's row of the trace and of the clock, see `CLOCK`."""
         if index % ROW_TICKS == 0:
-            self._row[: len(row)], self._row[len(row) :] = row, clock
+            self._row[: len(row)] = row
+            self._row[len(row) :] = clock
             self.arrays.write("row", self._row)
             np.take(row, self._load, out=self._loads[self._count[0] % LOADS])
             self._count[0] += 1
@@ -210,6 +216,76 @@ class WindowProcess:
         output = COLOURS.sub("", self._words.read())
         words = output.strip().splitlines()
         return words[-1] if words else f"its process ended with exit code {self._child.returncode}"
+
+
+class PageProcess(WindowProcess):
+    """A window in a browser: its process draws off screen and serves a page."""
+
+    module = "tissue.viewer.web.live_page"
+    place = "must serve its page"
+    remedy = REMEDY
+
+
+class Page:
+    """The page of a live run; its process starts with the first run that is shown.
+
+    Parameters
+    ----------
+    opened
+        Called once with the page's address, which holds a random token.
+    """
+
+    def __init__(self, opened: Callable[[str], object]) -> None:
+        self._opened = opened
+        self._process: PageProcess | None = None
+
+    def show(
+        self,
+        scene: Scene,
+        parts: Parts,
+        columns: tuple[str, ...],
+        *,
+        low_m: NDArray[np.float64],
+        high_m: NDArray[np.float64],
+    ) -> PageProcess:
+        """Show a run from its start; arguments as of `WindowProcess`.
+
+        Raises
+        ------
+        InputError
+            If nothing can be drawn or served here.
+        """
+        if self._process is not None:
+            self._process.begin_again(parts)
+            return self._process
+        failed: InputError | None = None
+        for environment in drawing_environments():
+            try:
+                self._process = PageProcess(scene, parts, columns, low_m=low_m, high_m=high_m, environment=environment)
+            except InputError as error:
+                failed = error
+                continue
+            self._opened(self._process.address)
+            return self._process
+        raise failed or InputError(f"--live must serve its page, but this machine has no OpenGL library: {REMEDY}")
+
+    def close(self) -> None:
+        """End it."""
+        if self._process is not None:
+            self._process.end()
+            self._process = None
+
+
+def require_web() -> None:
+    """Refuse a page where the server for it is not installed.
+
+    Raises
+    ------
+    InputError
+        If aiohttp is missing.
+    """
+    if find_spec("aiohttp") is None:
+        raise InputError("--web must have aiohttp to serve its page, got none: pip install 'tissue-sim[web]'")
 
 
 def _new_folder() -> Path:

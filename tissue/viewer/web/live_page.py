@@ -42,7 +42,7 @@ class LivePage:
     Parameters
     ----------
     folder
-        Folder that `tissue.simulation.live.page.PageProcess` has filled.
+        Folder that `tissue.simulation.live.window.PageProcess` has filled.
 
     Attributes
     ----------
