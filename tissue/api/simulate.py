@@ -133,7 +133,7 @@ def simulate(
             scene, chosen["fidelity"] = with_fidelity(scene, report=report)
         opened = opened_device(scene) if device is None else None
         if opened is not None:
-            chosen["device"] = f"{scene.device} is read and played by {type(opened).__name__}"
+            chosen["device"] = f"{scene.held.kind} is read and played by {type(opened).__name__}"
         held = opened if device is None else device
         observer, raised = observer if on_tick is None else Calls(on_tick), None
         if getattr(held.device if isinstance(held, SafeDevice) else held, "real_time", False):

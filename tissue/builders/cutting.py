@@ -118,7 +118,7 @@ def cutter_of(tool: Tool) -> Cutter:
 
 def _require_chips(scene: Scene, cutter: Cutter) -> None:
     """Refuse a given feed at which a tooth would take a chip thicker than the tool's radius."""
-    if scene.device != "none" or not isinstance(scene.motion, PathMotion):
+    if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return
     chip_mm, radius_mm = scene.motion.feed_mm_s * cutter.chip_per_speed_s, 1e3 * cutter.profile.radius_m
     if chip_mm > radius_mm:

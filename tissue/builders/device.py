@@ -14,7 +14,7 @@ __all__ = ["opened_device", "opens_device", "require_stated_rate"]
 
 def opens_device(scene: Scene) -> bool:
     """Whether a scene names a device whose real one can be opened."""
-    return scene.device != "none" and DEVICES[scene.device].is_real
+    return scene.device is not None and DEVICES[scene.held.kind].is_real
 
 
 def opened_device(scene: Scene) -> Device | None:
@@ -27,18 +27,18 @@ def opened_device(scene: Scene) -> Device | None:
     """
     if not opens_device(scene):
         return None
-    entry = DEVICES[scene.device]
+    entry = DEVICES[scene.held.kind]
     x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0].tolist()
     if entry.adapter is not None:
         from tissue.hardware.mapped import MappedDevice
 
-        return MappedDevice(loaded(entry.adapter)(scene.hardware), scene.hardware, start_m=(x, y, z))
+        return MappedDevice(loaded(entry.adapter)(scene.held.hardware), scene.held.hardware, start_m=(x, y, z))
     assert entry.make is not None
     device = loaded(entry.make)((x, y, z))
     if missing := [name for name in ("read", "command") if not callable(getattr(device, name, None))]:
         raise InputError(
             f"device must have read and command, got {type(device).__name__} without {' and '.join(missing)} for "
-            f"{scene.device}: see `tissue.haptics.device.device.Device`"
+            f"{scene.held.kind}: see `tissue.haptics.device.device.Device`"
         )
     return device
 

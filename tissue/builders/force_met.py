@@ -44,9 +44,9 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
     InputError
         If the scene's bone cannot be built.
     """
-    if scene.device == "none":
+    if scene.device is None:
         return 1.0, ""
-    limits = device_parameters(scene.device, scene.constants)
+    limits = device_parameters(scene.held.kind, scene.constants)
     force = _met(
         scene.model_dump_json(exclude={"seed", "duration_s", "device", "hand", "coupling", "fidelity"}),
         scene.constants.key,

@@ -41,7 +41,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
         If the coupling is unstable and that is not allowed, or the motion leaves the device's workspace.
     """
     settings = loop_settings(scene)
-    limits, person, scale = settings.limits, settings.person, scene.coupling.motion_scale
+    limits, person, scale = settings.limits, settings.person, scene.held.coupling.motion_scale
     if not plays_record(scene):
         _require_workspace(scene, scripted, limits)
     start = scripted.sweep_m()[0]
@@ -68,26 +68,26 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
         step_s=step_s,
         allow_unstable=allow_unstable,
     )
-    return motion, f"{scene.device} in the hand of {person_of(scene.hand)}, {scene.renderer}: {'; '.join(notes)}"
+    return motion, f"{scene.held.kind} in the hand of {person_of(scene.held.hand)}, {scene.held.renderer}: {'; '.join(notes)}"
 
 
 def _stray_m(scene: Scene) -> float:
     """How far around the scripted motion tissue is made ready for the tool [m]."""
-    if scene.coupling.roam_mm is not None:
-        return 1e-3 * scene.coupling.roam_mm
+    if scene.held.coupling.roam_mm is not None:
+        return 1e-3 * scene.held.coupling.roam_mm
     return 0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
 
 
 def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
     """Refuse a motion that leaves the device's workspace, whose box may lie along the axes as it fits."""
     workspace, extent = limits.workspace_m, np.sort(np.ptp(scripted.sweep_m(), axis=0))
-    scale = scene.coupling.motion_scale
+    scale = scene.held.coupling.motion_scale
     if (extent > scale * workspace).any():
         fits = ceil(100.0 * float((extent / workspace).max()) - 1e-9) / 100.0
         sizes = lambda edges: " x ".join(f"{1e3 * each:.0f}" for each in edges[::-1])  # noqa: E731
         raise InputError(
             f"coupling.motion_scale must be at least {fits:g} for a motion of {sizes(extent)} mm in the workspace of "
-            f"{scene.device}, {sizes(workspace)} mm, got {scale:g}: use {fits:g}"
+            f"{scene.held.kind}, {sizes(workspace)} mm, got {scale:g}: use {fits:g}"
         )
 
 
@@ -102,7 +102,7 @@ def _aims(
     step_s: float,
 ) -> tuple[Path, Callable[[float], Array] | None]:
     """Where the hand aims, and what it pushes with besides."""
-    corners, scale = scripted.sweep_m(), scene.coupling.motion_scale
+    corners, scale = scripted.sweep_m(), scene.held.coupling.motion_scale
     furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
     if isinstance(scene.motion, ThrustMotion):
         push_N = min(scene.force_scale * scene.motion.thrust_N, limits.force_limit_N)

@@ -104,7 +104,7 @@ def sampled(limits: DeviceParameters) -> DeviceParameters:
 
 def loop_settings(scene: Scene) -> LoopSettings:
     """What a scene states of its device, of the hand and of what lies between them and the tool."""
-    tool, limits = scene.tool, sampled(device_parameters(scene.device, scene.constants))
+    tool, limits = scene.tool, sampled(device_parameters(scene.held.kind, scene.constants))
     contact: Contact = "wall" if isinstance(scene.anatomy, WallAnatomy) else "presses"
     teeth_Hz = 0.0
     if isinstance(tool, Tool):
@@ -113,25 +113,25 @@ def loop_settings(scene: Scene) -> LoopSettings:
 
     def predictor() -> Predictor | None:
         """The predictor that the scene names."""
-        if scene.prediction == "none":
+        if scene.held.prediction == "none":
             return None
         from tissue.builders.prediction import predictor
 
         return predictor(
-            scene.prediction,
+            scene.held.prediction,
             scene_name=scene.name,
-            file=scene.coupling.predictor_file,
+            file=scene.held.coupling.predictor_file,
             force_limit_N=limits.force_limit_N,
         )
 
     def perception(rng: np.random.Generator) -> "Perception | None":
         """The person whom the scene names."""
-        if scene.perception == "none":
+        if scene.held.perception == "none":
             return None
         from tissue.builders.perception import perception
 
         return perception(
-            scene.perception,
+            scene.held.perception,
             rng=rng,
             force_limit_N=limits.force_limit_N,
             tick_s=TICK_S,
@@ -139,17 +139,17 @@ def loop_settings(scene: Scene) -> LoopSettings:
         )
 
     return LoopSettings(
-        scene.device,
+        scene.held.kind,
         limits,
-        scene.hand,
-        hand_parameters(scene.hand, scene.constants),
-        scene.coupling,
-        scene.renderer,
+        scene.held.hand,
+        hand_parameters(scene.held.hand, scene.constants),
+        scene.held.coupling,
+        scene.held.renderer,
         scene.output.low_pass_ms,
         contact,
         teeth_Hz,
         scene.output.vibration_share,
         predictor,
         perception,
-        None if scene.enhancement is None else enhancing(scene.enhancement, scene.perception, limits),
+        None if scene.enhancement is None else enhancing(scene.enhancement, scene.held.perception, limits),
     )

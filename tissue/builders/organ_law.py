@@ -103,7 +103,7 @@ def organ_law(
         return None
     if opens_device(scene):
         raise InputError(
-            f"device and organ.law must be left out together, got {scene.device} and {organ.law}: remove one, "
+            f"device and organ.law must be left out together, got {scene.held.kind} and {organ.law}: remove one, "
             "a real device would wait where solving the law takes longer than its interval"
         )
     law, factors = found

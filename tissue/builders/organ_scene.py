@@ -58,12 +58,12 @@ def pierced(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     track, fields = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter), None
     if track is not None and scene.anatomy.interval_ms > 0.0:
         report("solving a block of the organ around the needle", 0.0)
-        near = diameter if scene.device == "none" else HAND_M
+        near = diameter if scene.device is None else HAND_M
         fields = NeedleFields.of_liver(
             track, near_m=near, interval_s=1e-3 * scene.anatomy.interval_ms, constants=scene.constants
         )
         notes["fields"] = fields.note(tissue)
-        if scene.device != "none":
+        if scene.device is not None:
             notes["fields"] += f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 

@@ -17,11 +17,11 @@ def plays_record(scene: Scene) -> bool:
 
     A saved run can be viewed without the file; its scene then has the motion of the scene.
     """
-    return scene.device == RECORDED and is_file(Path(scene.hardware.address))
+    return scene.held.kind == RECORDED and is_file(Path(scene.held.hardware.address))
 
 
 def recorded_file(scene: Scene) -> str:
     """Return the file of the poses that move the tool, by a replay or a recorded device; empty for other motions."""
     if plays_record(scene):
-        return scene.hardware.address
+        return scene.held.hardware.address
     return scene.motion.file if isinstance(scene.motion, ReplayMotion) else ""

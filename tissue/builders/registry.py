@@ -34,7 +34,7 @@ def build(
     _require_device(compute)
     motion = motion_of(scene, step_s=step_s)
     tissue = loaded(ANATOMIES[scene.anatomy.kind].build)
-    if scene.device == "none":
+    if scene.device is None:
         parts = tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
         note_own_constants(scene, parts.tissue.layer_names, parts.notes)
         return parts
@@ -54,7 +54,7 @@ def motion_of(scene: Scene, *, step_s: float) -> Motion:
     """
     if plays_record(scene):
         with names_of_caller({"motion.file": "hardware.address"}):
-            return read_replay(Path(scene.hardware.address), step_s=step_s)
+            return read_replay(Path(scene.held.hardware.address), step_s=step_s)
     return loaded(MOTIONS[scene.motion.kind].make)(scene.motion, step_s)
 
 

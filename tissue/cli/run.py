@@ -195,7 +195,7 @@ def _slicer_link(slicer: bool, port: int | None, drives: bool, *, live: bool) ->
 
 def _refuse_unused(scene: "Scene", *, live: bool, compute: str, cores: int | None, allow_unstable: bool) -> None:
     """Refuse options that the scene does not use."""
-    by_hand = scene.device != "none" or live
+    by_hand = scene.device is not None or live
     left_out("without a device", "set device = touch, or remove it", allow_unstable=allow_unstable and not by_hand)
     if scene.anatomy.kind in ("wall", "layers"):
         there = compute if compute != "cpu" else None

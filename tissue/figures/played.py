@@ -48,7 +48,7 @@ def draw_played(run: Run, path: Path) -> None:
     """Draw forces at the device [N], compressed spans, the greatest change at 1 ms, and tool and device [mm]."""
     trace, scene = run.trace, run.scene
     sizes = _sizes(trace, scene.force_scale)
-    time, limits = trace["time_s"], device_parameters(scene.device, scene.constants)
+    time, limits = trace["time_s"], device_parameters(scene.held.kind, scene.constants)
     turns = bool(trace.vectors("device_torque", "Nm").any())
     chart = figure(8.0, 7.8 if turns else 6.6)
     panels = chart.subplots(3 + turns, 1, height_ratios=(2.4, 2.0, 1.5, 1.2)[: 3 + turns])
@@ -74,7 +74,7 @@ def draw_played(run: Run, path: Path) -> None:
         )
     if sizes["device_force"].max() > 0.5 * limits.force_limit_N:
         panels[0].axhline(limits.force_limit_N, color="0.2", linewidth=1.0, linestyle=(0, (6, 3)))
-        panels[0].annotate(f"greatest force of the {scene.device}, {limits.force_limit_N:g} N",
+        panels[0].annotate(f"greatest force of the {scene.held.kind}, {limits.force_limit_N:g} N",
                            (time[0], limits.force_limit_N), (4, -11), textcoords="offset points", size=8.5)  # fmt: skip
     panels[0].axvspan(time[moment][0], time[moment][-1], color="0.85", linewidth=0.0, zorder=0)
     panels[1].set_title("the steepest moment, grey above", size=9.0, loc="left")
@@ -94,7 +94,7 @@ def draw_played(run: Run, path: Path) -> None:
     chart.align_ylabels(panels)
     handles, labels = panels[0].get_legend_handles_labels()
     chart.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.11, 0.95), ncols=2, frameon=False)
-    title = f"{scene.name}: what the {scene.device} played ({scene.hand}, {scene.renderer})"
+    title = f"{scene.name}: what the {scene.held.kind} played ({scene.held.hand}, {scene.held.renderer})"
     chart.text(0.12, 0.965, f"{title}; {scene.force_scale:g} N for each newton at the tool", va="center", size=10.0)
     save(chart, path)
 

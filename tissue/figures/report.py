@@ -65,7 +65,7 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
             notes["press"] = draw_press(fields, run.trace, path("press"), title=scene.name, tool=tool, flat=flat)
             notes["held"] = shaded.result()
     draw_force_torque(run, path("force_torque"))
-    if scene.device != "none":
+    if scene.device is not None:
         draw_played(run, path("played"))
     for name, draw in ANATOMIES[scene.anatomy.kind].pictures.items():
         loaded(draw)(run, path(Path(name).stem))

@@ -3,7 +3,7 @@
 from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
-from tissue.scene.anatomy import Part
+from tissue.scene.part import Part
 
 __all__ = ["Enhancement"]
 

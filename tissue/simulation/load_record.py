@@ -167,8 +167,8 @@ def why_not_linear(scene: Scene) -> str:
     """Why the loads of a scene do not follow from one run for other coefficients, in words; empty where they do."""
     if ANATOMIES[scene.anatomy.kind].build != "tissue.builders.cutting:milled" or not isinstance(scene.tool, Tool):
         return f"a {scene.tool.kind} in a {scene.anatomy.kind} has no cutting coefficients to be linear in"
-    if scene.device != "none":
-        return f"the device {scene.device} yields to the force, so that the tool's path depends on the coefficients"
+    if scene.device is not None:
+        return f"the device {scene.held.kind} yields to the force, so that the tool's path depends on the coefficients"
     if scene.motion.kind not in ("path", "replay"):
         return f"the path of a motion of kind {scene.motion.kind} may depend on the force, and so on the coefficients"
     if scene.tool.spin_rpm == 0.0:

@@ -68,9 +68,9 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
     InputError
         If the scene has no device.
     """
-    if scene.device == "none":
+    if scene.device is None:
         raise InputError("scene must have a device to have a played force, got none: set device, such as touch")
-    stiffness = scene.coupling.stiffness_N_m or judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
+    stiffness = scene.held.coupling.stiffness_N_m or judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
     return changed(scene, {**PROMPT, "coupling.stiffness_N_m": stiffness, **(finest or {})})
 
 

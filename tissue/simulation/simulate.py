@@ -146,8 +146,8 @@ def simulate(
                 raise InputError("scene must name the device that is given, got none: set device, such as touch")
             require_stated_rate(
                 device,
-                device_parameters(scene.device, scene.constants),
-                remedy=f"state devices.{scene.device}.rate_Hz in a file of constants for the key materials",
+                device_parameters(scene.held.kind, scene.constants),
+                remedy=f"state devices.{scene.held.kind}.rate_Hz in a file of constants for the key materials",
             )
             parts.motion.device, parts.motion.after_s = device, 0.0
         ticks = tick_count(scene, parts.motion)

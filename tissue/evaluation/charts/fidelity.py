@@ -105,12 +105,12 @@ def _asked(wanted: Fidelity) -> str:
 
 def _in_words(scene: Scene, setting: Setting, among: Sequence[Setting]) -> str:
     """What a scene is at a setting, and of which it was chosen."""
-    if scene.device == "none":
+    if scene.device is None:
         return f"{setting.name}, of {'; '.join(each.name for each in among)}"
     foresight = {"none": "no prediction", "hold": "the tissue's last force held"}
-    predictor = foresight.get(scene.prediction, f"forces foretold by the {scene.prediction} predictor")
-    others, rate = "; ".join(each.name for each in among if each is not setting), 1e3 / scene.coupling.model_ms
+    predictor = foresight.get(scene.held.prediction, f"forces foretold by the {scene.held.prediction} predictor")
+    others, rate = "; ".join(each.name for each in among if each is not setting), 1e3 / scene.held.coupling.model_ms
     return (
-        f"renderer {scene.renderer}, {predictor}, tissue asked at {rate:g} Hz ({setting.name!r}, "
+        f"renderer {scene.held.renderer}, {predictor}, tissue asked at {rate:g} Hz ({setting.name!r}, "
         f"rather than {others}), the tissue itself as the scene has it"
     )

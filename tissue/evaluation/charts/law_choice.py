@@ -49,7 +49,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
         If the law that is needed takes longer ticks than are demanded.
     """
     organ, tool = scene.organ, scene.tool
-    if wanted.force_error is None or scene.device != "none" or not isinstance(scene.anatomy, SoftAnatomy):
+    if wanted.force_error is None or scene.device is not None or not isinstance(scene.anatomy, SoftAnatomy):
         return scene, ""
     if organ.law != "linear" or not isinstance(tool, Probe) or tool.kind != "sphere-probe":
         return scene, ""

@@ -107,11 +107,11 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     A hand is given the path that a script is, and more time for being late, so that both have the same references.
     """
     if isinstance(scene.tool, Tool):
-        margin = MARGIN_MM if scene.device == "none" else max(MARGIN_MM, min(scene.voxels.margin_mm, STRAY_MM))
+        margin = MARGIN_MM if scene.device is None else max(MARGIN_MM, min(scene.voxels.margin_mm, STRAY_MM))
         scene = changed(scene, {"voxels.margin_mm": margin})
     end = _first_contact_s(changed(of_model(scene), coarse), EXCERPT_S[quick]) + EXCERPT_S[quick]
     short = _until(scene, end)
-    if scene.device == "none" or short.duration_s is None:
+    if scene.device is None or short.duration_s is None:
         return short
     return short.model_copy(update={"duration_s": round(short.duration_s + LATE_S, 3)})
 
@@ -176,7 +176,7 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
             # Aside or deeper a tool may start inside the tissue or meet none.
             if count == 0:
                 raise
-    if len(places) == 1 and not (quick and scene.device != "none"):
+    if len(places) == 1 and not (quick and scene.device is not None):
         runs += [_run(scene, setting) for _ in range(REPEATS - 1)]
     took = (perf_counter() - started) / len(runs)
     # What else the machine does only adds time.

@@ -74,7 +74,7 @@ def _draw(axes: "Axes", both: Sequence[Frontier]) -> None:
     """One scene."""
     names = []
     for found in both:
-        colour, mark, label = LOOKS["script" if found.scene.device == "none" else "hand"]
+        colour, mark, label = LOOKS["script" if found.scene.device is None else "hand"]
         error = [100.0 * max(point.force_error, LEAST) for point in found.best]
         median = [point.median_us for point in found.best]
         names += [(y, x, point.setting, colour, mark) for x, y, point in zip(median, error, found.best, strict=True)]

@@ -22,7 +22,7 @@ COARSEST = 4.0
 
 def placed(scene: Scene) -> list[Scene]:
     """The scene and the same with its path moved: three where a path leads a tool on a grid, else the scene alone."""
-    if scene.device != "none" or not isinstance(scene.motion, PathMotion):
+    if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return [scene]
     if isinstance(scene.tool, Tool):
         # A peg in its hole leaves the tool no more than this.

@@ -117,7 +117,7 @@ def compare(scene: Scene, *, trials: int, report: Progress = silent) -> Predicto
     InputError
         If the scene has no trained predictor or cannot be run.
     """
-    file = scene.coupling.predictor_file
+    file = scene.held.coupling.predictor_file
     trained = Trained.read(Path(file) if file else shipped_file(scene.name), scene=scene.name)
     limit = device_parameters(trial(scene, 0).device, scene.constants).force_limit_N
     recorder, unseen, seen = Recorder(), [], []
@@ -202,7 +202,7 @@ def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
     InputError
         If no scene has one.
     """
-    able = [scene for scene in scenes if is_trained(scene.name, scene.coupling.predictor_file)]
+    able = [scene for scene in scenes if is_trained(scene.name, scene.held.coupling.predictor_file)]
     notes = [
         f"{scene.name} is left out: no trained predictor. Train one with 'tissue train {scene.name}'."
         for scene in scenes

@@ -45,7 +45,7 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
 
     By hand what is played is held to a prompt loop with the finest model.
     """
-    if scene.device != "none":
+    if scene.device is not None:
         return played_force_N(run.trace), ideal_force_N(run, finest(scene, quick=quick))
     force = run.trace.vectors("model_force", "N")
     if has_exact_geometry(scene):
@@ -76,7 +76,7 @@ def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
 def reference_words(scene: Scene, gap: float) -> str:
     """What a scene's forces are held to, and what that leaves open."""
     model, percent = of_model(scene), f"{100.0 * gap:.2g} %"
-    exact, by_hand = has_exact_geometry(model), scene.device != "none"
+    exact, by_hand = has_exact_geometry(model), scene.device is not None
     if exact and not by_hand:
         return f"the exact geometry (known to {percent})"
     if not grids(model, quick=True):

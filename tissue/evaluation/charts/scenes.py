@@ -95,8 +95,8 @@ def charted(scene: Scene) -> list[Scene]:
     presses less than the friction of its device, and its force error would be noise (54 to 200 % in ``milling``).
     """
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
-        return [scene if scene.device == "none" else of_model(scene)]
-    return [by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)]
+        return [scene if scene.device is None else of_model(scene)]
+    return [by_hand(scene)] if scene.device is not None else [scene, by_hand(scene)]
 
 
 def notes_before(names: Sequence[str]) -> list[str]:
@@ -118,11 +118,11 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
     lines = []
     for both in found:
         for each in both:
-            how = "by script" if each.scene.device == "none" else f"by hand on {each.scene.device}"
+            how = "by script" if each.scene.device is None else f"by hand on {each.scene.held.kind}"
             lines.append(f"{each.scene.name} {how}, held to {reference_words(each.scene, each.gap)}")
             if not isnan(each.rounding):
                 lines.append(f"  float32: a path moved by a last place, 1 nm, moves the force by {each.rounding:.1e}")
-            if each.scene.device == "none" and isinstance(each.scene.anatomy, SoftAnatomy):
+            if each.scene.device is None and isinstance(each.scene.anatomy, SoftAnatomy):
                 law = each.law.line() if each.law else "all by the linear law, not compared with a neo-Hookean one"
                 lines += [
                     f"  {law}",
@@ -155,7 +155,7 @@ def pieces(scene: Scene, *, quick: bool) -> list[tuple[Scene, bool]]:
     short = short_of(scene, quick)
     model = short_of(of_model(scene), quick)
     found: list[tuple[Scene, bool]] = []
-    if scene.device == "none":
+    if scene.device is None:
         if has_exact_geometry(model):
             at = [(place, settings_of(model, quick=quick)[0].changes) for place in placed(model)]
         else:
@@ -166,7 +166,7 @@ def pieces(scene: Scene, *, quick: bool) -> list[tuple[Scene, bool]]:
         found = [(changed(each, changes), False) for each, changes in at]
     if isinstance(scene.anatomy, SoftAnatomy):
         wanted = _unknown(scene, quick=quick)
-        if scene.device == "none":
+        if scene.device is None:
             meshes = [changed(place, changes) for changes in wanted for place in placed(short)]
         else:
             meshes = [short, ideal_scene(short, finest(scene, quick=quick))] if wanted else []

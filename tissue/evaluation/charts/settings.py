@@ -58,15 +58,15 @@ class Setting:
 
 def by_hand(scene: Scene) -> Scene:
     """The scene on a device, with a latency to be hidden."""
-    changes: dict[str, object] = {} if scene.device != "none" else {"device": "touch"}
-    if scene.coupling.delay_ms == 0:
+    changes: dict[str, object] = {} if scene.device is not None else {"device": "touch"}
+    if scene.held.coupling.delay_ms == 0:
         changes["coupling.delay_ms"] = LATENCY_MS
     return changed(scene, changes)
 
 
 def untrained(scene: Scene) -> tuple[str, ...]:
     """Return the predictors that cannot serve a scene because they need training and no file of it is known."""
-    if is_trained(scene.name, scene.coupling.predictor_file):
+    if is_trained(scene.name, scene.held.coupling.predictor_file):
         return ()
     return tuple(kind for kind in PREDICTORS if PREDICTORS[kind].trained)
 
@@ -76,7 +76,7 @@ def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
 
     The quick ones are those that a scene is chosen from when nothing has been measured yet.
     """
-    if scene.device != "none":
+    if scene.device is not None:
         return list(_loops(scene, quick=quick))
     if isinstance(scene.tool, Tool):
         return list(_voxels(scene, scene.tool, quick=quick))

@@ -94,7 +94,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         or cutting coefficients this is the same as all of those changed by it.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
-    held = changed(scene, {"device": "touch" if scene.device == "none" else scene.device})
+    held = changed(scene, {"device": "touch" if scene.device is None else scene.held.kind})
     entries = {
         "hand": GROUPS[index % len(GROUPS)],
         "seed": index,
@@ -137,7 +137,7 @@ class Recorder:
             velocity,
             rows[:, 3:6],
             contact,
-            scene.hand,
+            scene.held.hand,
             scene.seed,
             float(np.median(took)),
             rows[:, 6:],

@@ -52,11 +52,11 @@ def moved_by(scene: Scene, *, web: bool = False, slicer: bool = False) -> tuple[
     if web:
         return True, "the mouse moves the tool in a browser; it feels nothing, the force is shown"
     if opens_device(scene):
-        return False, f"the device {scene.device} moves the tool and plays the force; no window"
+        return False, f"the device {scene.held.kind} moves the tool and plays the force; no window"
     problem = display_problem()
     if problem is None:
         return True, "the mouse moves the tool in a window; it feels nothing, the force is shown"
-    script = "the scripted motion moves the tool" if scene.device == "none" else f"a simulated {scene.hand} moves it"
+    script = "the scripted motion moves the tool" if scene.device is None else f"a simulated {scene.held.hand} moves it"
     return False, f"no window, for {problem}: {script}"
 
 
@@ -120,15 +120,15 @@ def live(
         require_web()
         if opens_device(scene):
             raise InputError(
-                f"--web must be left out with a real device, which runs without any window, got {scene.device}: "
+                f"--web must be left out with a real device, which runs without any window, got {scene.held.kind}: "
                 "leave it out, or set device = touch to use the mouse"
             )
         page = Page(opened)
     by_mouse, note = moved_by(scene, web=page is not None, slicer=by_slicer)
     if by_mouse:
-        device = REPLACED_DEVICE if scene.device == "none" else scene.device
+        device = REPLACED_DEVICE if scene.device is None else scene.held.kind
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
-        coupling = scene.coupling.model_copy(update={"roam_mm": scene.coupling.roam_mm or roam_mm})
+        coupling = scene.held.coupling.model_copy(update={"roam_mm": scene.held.coupling.roam_mm or roam_mm})
         changes = {"device": device, "duration_s": duration_s or LONGEST_S, "coupling": coupling}
         scene = scene.model_copy(update=changes)
         cores = cores or max((os.cpu_count() or 2) - 1, 1)
@@ -170,7 +170,7 @@ def live(
         run.parts.notes["slicer"] = linked.note
     if mouse is not None:
         held = "a pose from 3D Slicer" if by_slicer else "a mouse"
-        run.parts.notes["coupling"] = f"{held} in place of the {scene.device} and its hand, " + scene.renderer
+        run.parts.notes["coupling"] = f"{held} in place of the {scene.held.kind} and its hand, " + scene.held.renderer
     return run
 
 
@@ -204,7 +204,7 @@ class LiveObserver:
         self._events: list[tuple[float, str]] = []
         self._handler: Callable[[int, FrameType | None], object] | int | None = None
         self._frames, self._drawn_s = -1, 0.0
-        self._start, self._scale = np.array(start_m(scene)), scene.coupling.motion_scale
+        self._start, self._scale = np.array(start_m(scene)), scene.held.coupling.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from here on Ctrl-C ends the run after its tick."""
