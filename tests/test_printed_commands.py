@@ -42,7 +42,6 @@ STARTED: dict[str, str] = {
     "bench_band": "",
     "bench_band_integrals": "",
     "bench_calibration": "coverage",
-    "bench_enhancement": "wall",
     "bench_environments": "--seeds 1 --steps 20",
     "bench_factor": "",
     "bench_fit_cutting": "bone --fits 2 --processes 1",

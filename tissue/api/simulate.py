@@ -16,7 +16,6 @@ from tissue.figures.report import draw_pictures
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.scene.scene import Scene
-from tissue.scene.unused_keys import require_used
 from tissue.simulation import simulate as engine
 from tissue.simulation.live.paced import Paced
 from tissue.simulation.live.prioritised import Prioritised
@@ -129,7 +128,6 @@ def simulate(
         if scene.fidelity is not None:
             from tissue.evaluation.charts.fidelity import with_fidelity
 
-            require_used(scene)
             scene, chosen["fidelity"] = with_fidelity(scene, report=report)
         opened = opened_device(scene) if device is None else None
         if opened is not None:

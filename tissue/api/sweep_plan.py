@@ -12,7 +12,6 @@ import numpy as np
 from meshes.base.errors import InputError
 from tissue.scene.load import changed, load_scene, parse_override
 from tissue.scene.scene import Scene
-from tissue.scene.unused_keys import require_used
 
 __all__ = ["Planned", "parse_values", "planned"]
 
@@ -67,8 +66,7 @@ def planned(scene: Scene | str | Path, changes: Mapping[str, Iterable[object]]) 
         name = ",".join(words[key][place] for key, place in zip(swept, places, strict=True)) or base.name
         made, problem = None, ""
         try:
-            made = changed(base, fixed | chosen).with_files_at(Path.cwd())
-            require_used(made)
+            made = changed(base, fixed | chosen)
         except InputError as refused:
             made, problem = None, str(refused)
         found[name] = Planned(name, chosen, made, problem)

@@ -21,7 +21,6 @@ from tissue.haptics.proxy.probing_tool import ProbingTool
 from tissue.haptics.renderer import TurningRenderer, renderer
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import Motion
-from tissue.perception.enhancement import EnhancedForce
 from tissue.perception.perception import Perception
 
 __all__ = ["device_motion"]
@@ -117,7 +116,10 @@ def device_motion(
             f"{scale:g} m at the tool for each metre at the device: a stiffness at the tool is felt as "
             f"{scale * force_scale:g} of it, a torque as {force_scale / scale:g}"
         )
-    notes += [each.sentence for each in (settings.enhancing, felt) if each is not None]
+    if settings.cue_N > 0.0:
+        notes.append(f"cues of {settings.cue_N:g} N mark contacts, layers and punctures")
+    if felt is not None:
+        notes.append(felt.sentence)
     return motion, notes
 
 
@@ -130,15 +132,10 @@ def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldT
 
 def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
     """What is made of a force before the device: for a person, and of a cutter's teeth and events at the tool."""
-    limits, asked, teeth = settings.limits, settings.enhancing, settings.vibration(TICK_S)
-    limit_N, slew_N = limits.force_limit_N, 1e3 * TICK_S * limits.force_slew_N_ms
+    limits = settings.limits
+    limit_N = limits.force_limit_N
+    slew_N = 1e3 * TICK_S * limits.force_slew_N_ms
+    teeth = settings.vibration(TICK_S)
     vibration = None if teeth is None else PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N, step_s=TICK_S)
-    if asked is None:
-        return PlayedForce(limits, perception=person, vibration=vibration)
-    return PlayedForce(
-        limits,
-        enhancement=EnhancedForce(asked.lift, asked.contrast, tick_s=TICK_S) if asked.maps else None,
-        perception=person,
-        vibration=vibration,
-        cues=Cues(asked.cue_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK_S) if asked.cue_N > 0.0 else None,
-    )
+    cues = Cues(settings.cue_N, limit_N=limit_N, slew_N=slew_N, tick_s=TICK_S) if settings.cue_N > 0.0 else None
+    return PlayedForce(limits, perception=person, vibration=vibration, cues=cues)

@@ -46,9 +46,12 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
     """
     if scene.device is None:
         return 1.0, ""
+    given = scene.device.coupling.force_scale
+    if given != "auto":
+        return given, ""
     limits = device_parameters(scene.held.kind, scene.constants)
     force = _met(
-        scene.model_dump_json(exclude={"seed", "duration_s", "device", "hand", "coupling", "fidelity"}),
+        scene.model_dump_json(exclude={"seed", "duration_s", "device", "fidelity"}),
         scene.constants.key,
     )
     if not force > 0.0:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.shapes.polyline import arc_length
 from tissue.builders.device_motion import device_motion
+from tissue.builders.force_met import chosen_scale
 from tissue.builders.loop import person_of
 from tissue.builders.loop_settings import loop_settings
 from tissue.builders.recorded import plays_record
@@ -56,12 +57,13 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
         x, y, z = start.tolist()
         return SimulatedDevice(limits, hand, position_m=(x, y, z))
 
+    scale_and_note = chosen_scale(scene)
     motion, notes = device_motion(
         settings,
         scripted,
         device,
-        force_scale=scene.force_scale,
-        scale_note=scene.chosen_scale[1],
+        force_scale=scale_and_note[0],
+        scale_note=scale_and_note[1],
         stray_m=_stray_m(scene),
         after_s=person.reaction_s + person.submovement_s + person.correction_s,
         rng=feeling,
@@ -105,7 +107,7 @@ def _aims(
     corners, scale = scripted.sweep_m(), scene.held.coupling.motion_scale
     furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
     if isinstance(scene.motion, ThrustMotion):
-        push_N = min(scene.force_scale * scene.motion.thrust_N, limits.force_limit_N)
+        push_N = min(chosen_scale(scene)[0] * scene.motion.thrust_N, limits.force_limit_N)
         thrust = Thrust(corners[0], corners[-1] - corners[0], tool, push_N, scale * push_N / stiffness_N_m)
         return thrust.path, thrust.push
     path = waypoints(*_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s))

@@ -110,9 +110,9 @@ def _judged(loop: WallLoop, hand: tuple[float, float, float], steepest: float) -
 
 
 def _steepest(settings: LoopSettings) -> float:
-    """Greatest slope of what is commanded over the force that a contact gives: of a person and of an enhancement."""
-    found, enhancing = settings.perception(np.random.default_rng(0)), settings.enhancing
-    return (1.0 if found is None else found.steepest) * (1.0 if enhancing is None else enhancing.steepest)
+    """Return the largest slope of the commanded force over the contact force."""
+    perception = settings.perception(np.random.default_rng(0))
+    return 1.0 if perception is None else perception.steepest
 
 
 def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from tissue.builders.enhancement import Enhancing, enhancing
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import HandParameters, hand_parameters
 from tissue.haptics.loop.vibration import Vibration
@@ -57,8 +56,8 @@ class LoopSettings:
         Makes a new predictor of the force; None where the present force is played.
     perception
         Makes the person for whom the force is scaled, with a generator of its noise; None where newtons stay newtons.
-    enhancing
-        What is changed in the force so that it is discriminated better; None for nothing.
+    cue_N
+        Amplitude of the event cues [N]; 0 for none.
     """
 
     device: str
@@ -73,7 +72,7 @@ class LoopSettings:
     vibration_share: float = 0.0
     predictor: Callable[[], Predictor | None] = no_predictor
     perception: "Callable[[np.random.Generator], Perception | None]" = no_perception
-    enhancing: Enhancing | None = None
+    cue_N: float = 0.0
 
     @property
     def late(self) -> bool:
@@ -151,5 +150,5 @@ def loop_settings(scene: Scene) -> LoopSettings:
         scene.output.vibration_share,
         predictor,
         perception,
-        None if scene.enhancement is None else enhancing(scene.enhancement, scene.held.perception, limits),
+        scene.output.cue_N,
     )

@@ -17,7 +17,7 @@ def plays_record(scene: Scene) -> bool:
 
     A saved run can be viewed without the file; its scene then has the motion of the scene.
     """
-    return scene.held.kind == RECORDED and is_file(Path(scene.held.hardware.address))
+    return scene.device is not None and scene.device.kind == RECORDED and is_file(Path(scene.held.hardware.address))
 
 
 def recorded_file(scene: Scene) -> str:

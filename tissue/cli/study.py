@@ -42,7 +42,7 @@ def run(
     tasks
         Some of T1 (palpation), T2 (wall), T3 (milling), needle, reaming, drilling; default all.
     methods
-        Some of penalty, energy, koopman, koopman-look-ahead, koopman-perception, koopman-enhanced; default all.
+        Some of penalty, energy, koopman, koopman-look-ahead, koopman-perception; default all.
     groups
         Some of novice, intermediate, expert; default all.
     sensitivity

@@ -20,8 +20,7 @@ NUMERICAL = frozenset(
                  "path", "basis_size", "interval_ms")
 )  # fmt: skip
 """Keys of these parts that change the computation and not the task."""
-FREE = ("name", "description", "seed", "device", "hand", "output", "renderer", "prediction", "perception",
-        "enhancement", "coupling", "hardware", "fidelity")  # fmt: skip
+FREE = ("name", "description", "seed", "device", "output", "fidelity")
 """Parts that may differ between a trainee and a reference without a word: who moves the tool, and by which device."""
 
 

@@ -47,7 +47,8 @@ SATURATED = "#F0E442"
 def draw_played(run: Run, path: Path) -> None:
     """Draw forces at the device [N], compressed spans, the greatest change at 1 ms, and tool and device [mm]."""
     trace, scene = run.trace, run.scene
-    sizes = _sizes(trace, scene.force_scale)
+    scale, _ = chosen_scale(scene)
+    sizes = _sizes(trace, scale)
     time, limits = trace["time_s"], device_parameters(scene.held.kind, scene.constants)
     turns = bool(trace.vectors("device_torque", "Nm").any())
     chart = figure(8.0, 7.8 if turns else 6.6)
@@ -95,7 +96,7 @@ def draw_played(run: Run, path: Path) -> None:
     handles, labels = panels[0].get_legend_handles_labels()
     chart.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.11, 0.95), ncols=2, frameon=False)
     title = f"{scene.name}: what the {scene.held.kind} played ({scene.held.hand}, {scene.held.renderer})"
-    chart.text(0.12, 0.965, f"{title}; {scene.force_scale:g} N for each newton at the tool", va="center", size=10.0)
+    chart.text(0.12, 0.965, f"{title}; {scale:g} N for each newton at the tool", va="center", size=10.0)
     save(chart, path)
 
 

@@ -27,7 +27,7 @@ def draw_wall(run: Run, path: Path) -> None:
     tips = trace.vectors("tool", "mm")
     device = trace.vectors("device", "mm") if "device_x_mm" in trace else None
     if device is not None:
-        device = tips[0] + run.scene.held.coupling.motion_scale * (device - tips[0])
+        device = tips[0] + run.scene.motion_scale * (device - tips[0])
     force = trace["model_force_z_N"]
     across = int(np.ptp(tips[:, :2], axis=0).argmax())
     chart = figure(8.0, 6.6)

@@ -112,7 +112,7 @@ def _loads(scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, va
         stands_in = ReplayMotion(kind="replay", file="poses that were given")
         prompt = {"interval_ms": 0.0, "law_interval_ms": LAW_MS}
         organ = with_values.organ.model_copy(update=prompt)
-        ran = with_values.model_copy(update={"motion": stands_in, "device": "none", "duration_s": None, "organ": organ})
+        ran = with_values.model_copy(update={"motion": stands_in, "device": None, "duration_s": None, "organ": organ})
         build = loaded(ANATOMIES[ran.anatomy.kind].build)
         parts = build(ran, motion, step_s=TICK_S, compute="cpu", cores=1, report=silent)
     ticks = tick_count(ran, motion)

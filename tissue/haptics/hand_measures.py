@@ -1,7 +1,7 @@
 """Columns that a device, a prediction and a perception add to the trace, and where each lies among them."""
 
 __all__ = [
-    "ENERGY", "ENHANCED", "FILTERED_FORCE", "HAND_FORCE", "MARGIN", "MEASURES", "PERCEIVED", "PLAYED_FORCE",
+    "CUE", "ENERGY", "FILTERED_FORCE", "HAND_FORCE", "MARGIN", "MEASURES", "PERCEIVED", "PLAYED_FORCE",
     "PLAYED_TORQUE", "POSITION", "PREDICTED", "PREDICTED_BY", "PREDICTED_FORCE", "QUATERNION", "RAW_FORCE", "RESIDUAL",
     "SATURATED", "TRUE", "VIBRATION",
 ]  # fmt: skip
@@ -27,8 +27,8 @@ PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_thresh
 """Columns of a perception: see `tissue.perception.Perception`."""
 VIBRATION = tuple(f"vibration_{c}_N" for c in "xyz")
 """Columns of a spinning cutter's vibration: what the device's force holds of it; no other column of a force does."""
-ENHANCED = tuple(f"enhanced_force_{c}_N" for c in "xyz")
-"""Columns of an enhancement: the filtered force with what was changed in it so that it is discriminated better."""
+CUE = tuple(f"cue_{c}_N" for c in "xyz")
+"""Columns of the event cues, which are part of the device force."""
 TRUE = tuple(f"device_true_{c}_mm" for c in "xyz")
 """Columns of a device that knows where it is, which its encoders only step through."""
 HAND_FORCE = tuple(f"hand_force_{c}_N" for c in "xyz")

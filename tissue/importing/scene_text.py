@@ -24,7 +24,7 @@ PLUNGE: Mapping[str, Mapping[str, object]] = {
 ARRAY = re.compile(r"(?<== )\[[^\"]*?\n\]")
 """An array that is written over several lines."""
 HOLE = ("guide_hole_diameter_mm", "guide_hole_depth_mm")
-OF_SCENE = ("duration_s", "device", "hand", "renderer", "prediction", "perception", "seed")
+OF_SCENE = ("duration_s", "seed")
 
 
 def scene_name(folder: Path) -> str:
@@ -95,7 +95,7 @@ def _taken(like: str | None, placed: Placed | None) -> dict[str, dict[str, objec
         raise InputError(f"like must be a scene in which a tool cuts, got {like}: use milling or glenoid")
     table = stated(scene)
     hole = {key: table["anatomy"][key] for key in HOLE if key in table["anatomy"]}
-    parts = ("voxels", "tool", "motion", "cutting", "output", "coupling", "fidelity")
+    parts = ("voxels", "tool", "motion", "cutting", "output", "device", "fidelity")
     return {
         "": {key: table[key] for key in OF_SCENE if key in table},
         "anatomy": hole,

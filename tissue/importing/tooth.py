@@ -25,7 +25,7 @@ __all__ = ["import_tooth"]
 
 LIKE = "caries"
 """Scene whose tool and motion are taken where none is asked for."""
-PARTS = ("voxels", "tool", "motion", "cutting", "output", "coupling", "duration_s", "device")
+PARTS = ("voxels", "tool", "motion", "cutting", "output", "duration_s", "device")
 MARGIN = 3
 """Voxels kept around the tooth."""
 

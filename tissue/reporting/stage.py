@@ -91,7 +91,7 @@ def _add_tool(record: Record, trace: Table, scene: Scene | None, around: Shown, 
     surface = turning_tool(scene.tool if scene is not None else None)
     poses = {"rows": rows.tolist(), "tool": packed_vectors(tips[rows]), "turns": packed_vectors(turns[rows])}
     if "device_x_mm" in trace and scene is not None:
-        device = tips[0] + scene.held.coupling.motion_scale * (trace.vectors("device", "mm") - tips[0])
+        device = tips[0] + scene.motion_scale * (trace.vectors("device", "mm") - tips[0])
         poses["device"] = packed_vectors(device[rows])
         if surface is not None:
             record["parts"].append({**_still(surface), "follows": "device", "colour": DEVICE, "opacity": 0.25,

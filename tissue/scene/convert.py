@@ -59,6 +59,9 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
             table["device"] = held
     if was_kept:
         _drop_removed(table)
+    cue = table.get("enhancement")
+    if isinstance(cue, dict) and cue.keys() == {"cue_N"}:
+        table["output"] = table.get("output", {}) | table.pop("enhancement")
     return table, was_kept
 
 

@@ -17,7 +17,6 @@ from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import BlockAnatomy, BlockImage, CutAnatomy, MolarAnatomy, Tooth, WallAnatomy
 from tissue.scene.choices import ByKind, OneOf, kinds_of
 from tissue.scene.coupling import Device, Fidelity
-from tissue.scene.enhancement import Enhancement
 from tissue.scene.keep_clear import KeepClear
 from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
 from tissue.scene.part import FileName, Part, Rule
@@ -67,6 +66,8 @@ class Output(Part):
     """Time constant of the low-pass y += (1 - exp(-T/a)) (u - y); 0 passes the model's force on."""
     vibration_share: float = Field(0.0, ge=0, le=1)
     """Amplitude of the teeth's vibration relative to the average force, at 250 Hz at most; a device plays it too."""
+    cue_N: float = Field(0.0, ge=0, le=1, examples=[0.3])
+    """Amplitude of the transient that a device plays at first contact, another layer and a puncture; 0 plays none."""
 
 
 class Stress(Part):
@@ -122,8 +123,6 @@ class Scene(Part):
     """What becomes of the force."""
     device: Device | None = None
     """Device by which a hand moves the tool; without it the motion moves the tool."""
-    enhancement: Enhancement | None = None
-    """What is changed in the device's force so that forces are discriminated better."""
     stress: Stress | None = None
     """Whether and how finely displacement and stress are computed."""
     heat: bool = False
@@ -147,6 +146,16 @@ class Scene(Part):
         """The device of a scene that has one."""
         assert self.device is not None, "the scene has no device"
         return self.device
+
+    @property
+    def motion_scale(self) -> float:
+        """Metres at the tool for each metre at the device; 1 without a device."""
+        return 1.0 if self.device is None else self.device.coupling.motion_scale
+
+    @property
+    def predictor_file(self) -> str:
+        """File of a trained predictor; empty for the scene's own."""
+        return "" if self.device is None else self.device.coupling.predictor_file
 
     @property
     def constants(self) -> Materials:
@@ -238,7 +247,7 @@ class Scene(Part):
         is_held = self.device is not None
         nothing = "without a device, for nothing is drawn at random then"
         yield "seed", not is_held, nothing, "set device = touch"
-        yield "enhancement", not is_held, "without a device", "set device = touch"
+        yield "output.cue_N", not is_held, "without a device", "set device = touch"
         if is_held:
             wall = "for a wall, which goes on for ever"
             is_wall = isinstance(self.anatomy, WallAnatomy)

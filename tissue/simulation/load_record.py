@@ -30,7 +30,6 @@ from tissue.scene.named_parts import loaded
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion, Tool
-from tissue.scene.unused_keys import require_used
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.simulate import tick_count
 from tissue.simulation.trace import Table
@@ -204,11 +203,9 @@ def record_loads(
         If the loads are not linear, see `why_not_linear`, the record would not fit `MOST_BYTES`, or as `simulate`.
     """
     report = progress or silent
-    if motion is None:
-        require_used(scene)
-    else:
+    if motion is not None:
         stands_in = ReplayMotion(kind="replay", file="poses that were given")
-        scene = scene.model_copy(update={"motion": stands_in, "device": "none", "duration_s": None})
+        scene = scene.model_copy(update={"motion": stands_in, "device": None, "duration_s": None})
     if why := why_not_linear(scene):
         raise InputError(f"scene must have a force that is linear in the coefficients, got one where {why}: run it")
     scene = scene.model_copy(update={"stress": None, "heat": False, "keep_clear": None})

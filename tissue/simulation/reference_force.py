@@ -34,7 +34,7 @@ PROMPT: dict[str, object] = {
     "renderer": "proxy",
     "prediction": "none",
     "perception": "none",
-    "enhancement": None,
+    "output.cue_N": 0.0,
     "output.low_pass_ms": 0.0,
     "coupling.delay_ms": 0,
     "coupling.model_ms": 1,

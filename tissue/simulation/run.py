@@ -16,11 +16,9 @@ from meshes.base.progress import Progress, silent
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
-from tissue.haptics.hand_measures import ENHANCED
 from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
 from tissue.scene.scene import Scene
 from tissue.simulation.break_through import BreakThrough
-from tissue.simulation.enhancement_cost import enhancement_cost
 from tissue.simulation.run_folder import RunFolder
 from tissue.simulation.run_summary import FORMAT, Summary
 from tissue.simulation.scheduling import Scheduling
@@ -155,7 +153,6 @@ class Run:
             **by_clock,
             **(self.scheduling.summary(ticks_s=exposed_s) if self.scheduling is not None else {}),
             **({} if self.parts.keep_clear is None else {"keep_clear": self.parts.keep_clear.summary()}),
-            **({"enhancement": enhancement_cost(trace)} if ENHANCED[0] in trace.columns else {}),
             **({} if heat_J is None else {"heat_J": heat_J}),
             **({} if limit is None else {"feed_limit": asdict(limit)}),
             **({"break_through": list(map(asdict, self.break_throughs))} if self.break_throughs else {}),

@@ -7,7 +7,7 @@ from coarse_run import COARSE
 
 from tissue.scene.load import scene_text
 
-PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, keep_clear, cutting, output, device, hand, renderer, prediction, perception, enhancement, coupling, hardware, stress, heat, organ, materials, fidelity"
+PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, keep_clear, cutting, output, device, hand, renderer, prediction, perception, coupling, hardware, stress, heat, organ, materials, fidelity"
 CUTTERS = "ball-burr, pear-bur, cylinder, twist-drill, hemispherical-reamer, flat-reamer, sphere-probe, cylinder-probe, shell-probe, needle"
 POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
 

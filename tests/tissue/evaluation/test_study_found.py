@@ -25,7 +25,7 @@ def table(metrics, tasks=("T1", "T2"), left=0.5):
 
 
 def discrimination():
-    rows = tuple(("capsule", "novice", method, "2.20" if "enhanced" in method else "2.00") for method in METHODS)
+    rows = tuple(("capsule", "novice", method, "2.20" if "perception" in method else "2.00") for method in METHODS)
     return Section("discrimination", "Discrimination", (), ("what", "group", "method", "d′"), rows)
 
 
@@ -44,7 +44,7 @@ def test_five_sentences_and_three_pictures_are_made_of_the_data():
     assert "the others leave energy 1.00, 1.00; koopman 0.50, 0.50; " in error
     assert "in T1, T2, penalty +4.0, +4.0; energy +4.0, +4.0; koopman +2.0, +2.0; " in latency
     assert "under koopman, a d′ of capsule 2.00, and changes" in sensed
-    assert "under penalty +0; energy +0; " in sensed and "koopman-enhanced +10, where the paper" in sensed
+    assert "under penalty +0; energy +0; " in sensed and "koopman-perception +10, where the paper" in sensed
     assert "penalty 1.20 mm (100 % noticed)" in overshoot and "prediction changes it by -25 %" in overshoot
     assert against == (
         "Of 2 figures held against the paper 1 do not agree: force fidelity T1 penalty 0.50 of it; nothing differs "

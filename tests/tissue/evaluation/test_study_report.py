@@ -35,7 +35,6 @@ def planted(key, rng):
         "force_rms_N": 0.1,
         "peak_force_N": 1.0 + rng.random(),
         "specimen": float(key.trial % 2),
-        "enhancement_cost": 0.0,
         "skin_N": (1.0 + 0.3 * (key.trial % 2)) * (1.0 + 0.01 * rng.random()),
         "level_N": (1.0 + 0.3 * (key.trial % 2)) * (1.0 + 0.01 * rng.random()),
         "excess_mm": 0.5,
@@ -114,13 +113,13 @@ def test_discrimination_is_reported_where_people_met_both_specimens_twice(tmp_pa
         specimen, scatter = float(key.trial // 10 % 2), 0.01 * rng.standard_normal()
         rows = planted(key, rng)
         for row in rows:
-            gain = 0.2 if row["method"] == "koopman-enhanced" else 0.1
+            gain = 0.2 if row["method"] == "koopman-perception" else 0.1
             row |= {"specimen": specimen, "skin_N": 1.0 + gain * specimen + scatter}
         folder.write(Trial(key, number, tuple(rows), 1.5))
     section = next(each for each in sections_of(folder) if each.name == "discrimination")
     found = {(row[0], row[2]): row for row in section.rows if row[1] == "novice"}
     assert {what for what, _ in found} == {"T1: softer or usual", "capsule or parenchyma", "carious or sound"}
-    plain, steep, same = (found["T1: softer or usual", f"koopman{each}"] for each in ("", "-enhanced", "-look-ahead"))
+    plain, steep, same = (found["T1: softer or usual", f"koopman{each}"] for each in ("", "-perception", "-look-ahead"))
     assert float(steep[5]) == pytest.approx(2.0 * float(plain[5]), rel=0.05) and plain[7:] == ("", "", "")
     assert float(steep[8].split()[0]) == pytest.approx(100.0, abs=8.0)  # both share what trials scatter
     assert same[7].endswith("0.00 [+0.00, +0.00]") and section.picture.startswith(b"\x89PNG")

@@ -72,7 +72,7 @@ def test_it_waits_for_a_force_and_ends_without_samples():
 @pytest.mark.parametrize(("name", "count"), [("needle", 4), ("wall", 1)])
 def test_a_run_plays_one_for_each_event(name, count):
     """The needle touches, goes through the capsule, meets the vessel wall and goes through it; the wall is touched."""
-    trace = simulate(load_scene(name, {"device": "touch", "enhancement.cue_N": 0.3})).trace
-    cue = trace.vectors("enhanced_force", "N") - trace.vectors("filtered_force", "N")
+    trace = simulate(load_scene(name, {"device": "touch", "output.cue_N": 0.3})).trace
+    cue = trace.vectors("cue", "N")
     there = np.linalg.norm(cue, axis=1) > 0.0
     assert np.count_nonzero(np.diff(there.astype(int)) == 1) == count

@@ -138,12 +138,16 @@ def test_whole_numbers_do_for_quantities():
 def test_toml_of_a_scene_holds_every_entry_that_is_set():
     table = tomllib.loads(load_scene("glenoid").to_toml())
     by_hand = {"hand", "renderer", "prediction", "perception", "coupling", "hardware"}
-    rest = {"stress", "heat", "organ", "fidelity", "seed", "keep_clear", "enhancement"}
+    rest = {"stress", "heat", "organ", "fidelity", "seed", "keep_clear"}
     assert set(table) == set(Scene.model_fields) - rest - by_hand
     for name, part in (("voxels", tissue.scene.scene.Voxels), ("output", tissue.scene.scene.Output)):
-        assert set(table[name]) == set(part.model_fields)
+        assert set(table[name]) == set(part.model_fields) - {"cue_N"}
     held = tomllib.loads(load_scene("glenoid", {"device": "six-dof", "prediction": "koopman"}).to_toml())
-    assert by_hand - {"hardware"} <= set(held) and {"prediction_gain", "delay_ms"} <= set(held["coupling"])
+    assert (
+        by_hand - {"hardware"} <= set(held)
+        and "cue_N" in held["output"]
+        and {"prediction_gain", "delay_ms"} <= set(held["coupling"])
+    )
     assert "hardware" in tomllib.loads(load_scene("wall", {"device": "haply"}).to_toml())
 
 

@@ -56,7 +56,7 @@ def draw_frontiers(found: list[Frontier], path: Path) -> None:
 
 def _draw(axes: "Axes", found: Frontier) -> None:
     """One scene."""
-    points, device = found.points, found.scene.held.kind
+    points, device = found.points, found.scene.device
     shown = [100.0 * max(point.force_error, LEAST) for point in points]
     known = [100.0 * found.gap] if found.gap > 0.0 else []
     bounds = [row for row in found.bounds if not isnan(row.force_error)]

@@ -117,9 +117,9 @@ def compare(scene: Scene, *, trials: int, report: Progress = silent) -> Predicto
     InputError
         If the scene has no trained predictor or cannot be run.
     """
-    file = scene.held.coupling.predictor_file
+    file = scene.predictor_file
     trained = Trained.read(Path(file) if file else shipped_file(scene.name), scene=scene.name)
-    limit = device_parameters(trial(scene, 0).device, scene.constants).force_limit_N
+    limit = device_parameters(trial(scene, 0).held.kind, scene.constants).force_limit_N
     recorder, unseen, seen = Recorder(), [], []
     steps = trials + max(SIZES) + 4
     for index in range(trials):
@@ -202,7 +202,7 @@ def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
     InputError
         If no scene has one.
     """
-    able = [scene for scene in scenes if is_trained(scene.name, scene.held.coupling.predictor_file)]
+    able = [scene for scene in scenes if is_trained(scene.name, scene.predictor_file)]
     notes = [
         f"{scene.name} is left out: no trained predictor. Train one with 'tissue train {scene.name}'."
         for scene in scenes

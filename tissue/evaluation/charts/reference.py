@@ -26,7 +26,7 @@ __all__ = ["force_and_reference_N", "grid_force_N", "of_model", "reference_gap",
 
 def of_model(scene: Scene) -> Scene:
     """The same scene moved by its script, without all that no script depends on."""
-    return changed(scene, {"device": "none", "prediction": "none", "perception": "none", "coupling": None})
+    return changed(scene, {"device": "none"})
 
 
 def grid_force_N(scene: Scene, changes: Changes) -> Array:

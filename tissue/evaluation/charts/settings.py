@@ -59,14 +59,14 @@ class Setting:
 def by_hand(scene: Scene) -> Scene:
     """The scene on a device, with a latency to be hidden."""
     changes: dict[str, object] = {} if scene.device is not None else {"device": "touch"}
-    if scene.held.coupling.delay_ms == 0:
+    if scene.device is None or scene.device.coupling.delay_ms == 0:
         changes["coupling.delay_ms"] = LATENCY_MS
     return changed(scene, changes)
 
 
 def untrained(scene: Scene) -> tuple[str, ...]:
     """Return the predictors that cannot serve a scene because they need training and no file of it is known."""
-    if is_trained(scene.name, scene.held.coupling.predictor_file):
+    if is_trained(scene.name, scene.predictor_file):
         return ()
     return tuple(kind for kind in PREDICTORS if PREDICTORS[kind].trained)
 
@@ -138,7 +138,7 @@ def _shell_mm(tool: Tool) -> float:
 def _edge_mm(scene: Scene, anatomy: SoftAnatomy) -> float:
     """Edge of a tetrahedron under the tool where a scene sets none."""
     assert not isinstance(scene.tool, Tool)
-    return anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+    return anatomy.touch_edge_mm or 0.25 * probe_mm(scene.tool)
 
 
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:

@@ -10,11 +10,9 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.puncture import NOTICED
-from tissue.haptics.hand_measures import ENHANCED
 from tissue.perception.observer import Observer
 from tissue.perception.population import reference_observer
 from tissue.scene.tool import PathMotion
-from tissue.simulation.enhancement_cost import enhancement_cost
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S
@@ -67,7 +65,6 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
         "least_error": (least := metrics.force_error(nearest, ideal)),
         "excess_error": metrics.excess_error(error, least),
         **intensity_ratios(skin, nearest, ideal, person),
-        "enhancement_cost": enhancement_cost(trace)["force_error"] if ENHANCED[0] in trace.columns else 0.0,
         "force_mae_N": metrics.force_mae_N(played, ideal),
         "force_rms_N": metrics.force_rms_N(played, ideal),
         "latency_ms": metrics.latency_ms(played, nearest, tick_s=TICK_S),
@@ -84,7 +81,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
         case "needle":
             found |= _pierced(run)
         case "reaming":
-            found |= {"tracking_rms_N": found["force_rms_N"] / run.scene.force_scale} | _reamed(run, touching)
+            found |= {"tracking_rms_N": found["force_rms_N"] / chosen_scale(run.scene)[0]} | _reamed(run, touching)
     return found
 
 

@@ -37,7 +37,6 @@ COLOURS = {
     "koopman": "#0072B2",
     "koopman-look-ahead": "#56B4E9",
     "koopman-perception": "#009E73",
-    "koopman-enhanced": "#CC79A7",
 }
 """Of methods (Okabe and Ito 2008)."""
 

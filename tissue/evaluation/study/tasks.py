@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-__all__ = ["ENHANCED", "METHODS", "PERSONAL", "TASKS", "VARIANTS", "Task", "Variant"]
+__all__ = ["METHODS", "PERSONAL", "TASKS", "VARIANTS", "Task", "Variant"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,13 +148,10 @@ METHODS: dict[str, Mapping[str, object]] = {
     "koopman": {"renderer": "proxy", "prediction": "koopman"},
     "koopman-look-ahead": {"renderer": "proxy", "prediction": "koopman-look-ahead"},
     "koopman-perception": {"renderer": "proxy", "prediction": "koopman"},
-    "koopman-enhanced": {"renderer": "proxy", "prediction": "koopman", "enhancement.tuned": True},
 }
-"""Methods that make a contact a force; the last two are for the person whose trial it is."""
-PERSONAL = ("koopman-perception", "koopman-enhanced")
+"""Methods that make a contact a force; the last one is for the person whose trial it is."""
+PERSONAL = ("koopman-perception",)
 """Methods that scale the force for the person."""
-ENHANCED = "koopman-enhanced"
-"""Method that makes the force steeper on purpose, and so takes a softer coupling where it has to."""
 
 
 @dataclass(frozen=True)

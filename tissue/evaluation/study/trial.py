@@ -21,7 +21,7 @@ from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.measures import measured
 from tissue.evaluation.study.plan import LATENCY_MS, REFERENCE, Plan, TrialKey
 from tissue.evaluation.study.puncture import RATE_N_S, pierce
-from tissue.evaluation.study.tasks import ENHANCED, METHODS, PERSONAL, TASKS, VARIANTS, Variant
+from tissue.evaluation.study.tasks import METHODS, PERSONAL, TASKS, VARIANTS, Variant
 from tissue.perception.magnitude import MAGNITUDE_FORCES_N, fit_magnitudes
 from tissue.perception.observer import PARAMETERS, Observer, write_observer
 from tissue.scene.load import changed, load_scene
@@ -80,8 +80,8 @@ class TrialScene:
     Attributes
     ----------
     scenes
-        The scene under each method. All but the enhanced one have the stiffness of the coupling that is the smallest of
-        those chosen for each, so that it is stable under all and their forces can be compared; that one may be softer.
+        The scene under each method. The coupling stiffness is the smallest of those chosen for the methods. It is
+        stable under all methods, so that their forces can be compared.
     specimen
         Number of the specimen.
     person
@@ -156,10 +156,9 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     scene = changed(scene, by_hand)
     felt = {name: {"perception": f"observer:{observer}"} if name in PERSONAL else {} for name in METHODS}
     scenes = {name: changed(scene, {**method, **felt[name]}) for name, method in METHODS.items()}
-    stiffness = {name: floor(_stiffness_N_m(each)) for name, each in scenes.items()}
-    common = min(value for name, value in stiffness.items() if name != ENHANCED)
+    common_N_m = min(floor(_stiffness_N_m(each)) for each in scenes.values())
     for name, scene in scenes.items():
-        scenes[name] = changed(scene, {**per_trial, "coupling.stiffness_N_m": min(common, stiffness[name])})
+        scenes[name] = changed(scene, {**per_trial, "coupling.stiffness_N_m": common_N_m})
     return TrialScene(scenes, specimen, truth, pace)
 
 
@@ -169,7 +168,7 @@ def _force_scale(scene: Scene) -> float:
 
     The least over a task's specimens is taken for all of them: a scale for each would play them all alike.
     """
-    return changed(scene, {"device": "touch"}).force_scale
+    return chosen_scale(changed(scene, {"device": "touch"}))[0]
 
 
 def _all_specimens(task: str) -> list[Scene]:

@@ -94,7 +94,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         or cutting coefficients this is the same as all of those changed by it.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
-    held = changed(scene, {"device": "touch" if scene.device is None else scene.held.kind})
+    held = scene if scene.device is not None else changed(scene, {"device": "touch"})
     entries = {
         "hand": GROUPS[index % len(GROUPS)],
         "seed": index,
@@ -102,7 +102,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         "perception": "none",
         "coupling.delay_ms": delay,
         "coupling.model_ms": 1,
-        "coupling.force_scale": share * held.force_scale,  # a scale is chosen for a device
+        "coupling.force_scale": share * chosen_scale(held)[0],  # a scale is chosen for a device
     }
     made = changed(held, entries | ({"stress": None} if scene.stress is not None else {}))
     # A loop whose latency is hidden is as stiff as a prompt one, whatever the latency of the trial.

@@ -126,10 +126,11 @@ def live(
         page = Page(opened)
     by_mouse, note = moved_by(scene, web=page is not None, slicer=by_slicer)
     if by_mouse:
-        device = REPLACED_DEVICE if scene.device is None else scene.held.kind
+        device = scene.device or Device(kind=REPLACED_DEVICE)
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
-        coupling = scene.held.coupling.model_copy(update={"roam_mm": scene.held.coupling.roam_mm or roam_mm})
-        changes = {"device": device, "duration_s": duration_s or LONGEST_S, "coupling": coupling}
+        coupling = device.coupling.model_copy(update={"roam_mm": device.coupling.roam_mm or roam_mm})
+        device = device.model_copy(update={"coupling": coupling})
+        changes = {"device": device, "duration_s": duration_s or LONGEST_S}
         scene = scene.model_copy(update=changes)
         cores = cores or max((os.cpu_count() or 2) - 1, 1)
     try:
@@ -204,7 +205,7 @@ class LiveObserver:
         self._events: list[tuple[float, str]] = []
         self._handler: Callable[[int, FrameType | None], object] | int | None = None
         self._frames, self._drawn_s = -1, 0.0
-        self._start, self._scale = np.array(start_m(scene)), scene.held.coupling.motion_scale
+        self._start, self._scale = np.array(start_m(scene)), scene.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from here on Ctrl-C ends the run after its tick."""

@@ -164,7 +164,7 @@ class SlicerObserver(Publisher[SlicerProcess]):
         self._missed, self._skipped_us = 0, 0.0
 
     def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> SlicerProcess:
-        self._start, self._scale = parts.motion.sweep_m()[0], self._scene.held.coupling.motion_scale
+        self._start, self._scale = parts.motion.sweep_m()[0], self._scene.motion_scale
         return SlicerProcess(self._scene, parts, columns, low_m=low_m, high_m=high_m, link=self._link)
 
     def _on_opened(self, process: SlicerProcess) -> None:
