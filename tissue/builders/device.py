@@ -5,7 +5,6 @@ from tissue.builders.registry import motion_of
 from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.models.tissue_model import TICK_S
-from tissue.scene.named_parts import loaded
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 
@@ -29,12 +28,14 @@ def opened_device(scene: Scene) -> Device | None:
         return None
     entry = DEVICES[scene.held.kind]
     x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0].tolist()
-    if entry.adapter is not None:
+    if entry.has_adapter:
         from tissue.hardware.mapped import MappedDevice
+        from tissue.hardware.search import adapter_class
 
-        return MappedDevice(loaded(entry.adapter)(scene.held.hardware), scene.held.hardware, start_m=(x, y, z))
+        hardware = scene.held.hardware
+        return MappedDevice(adapter_class(scene.held.kind)(hardware), hardware, start_m=(x, y, z))
     assert entry.make is not None
-    device = loaded(entry.make)((x, y, z))
+    device: Device = entry.make((x, y, z))
     if missing := [name for name in ("read", "command") if not callable(getattr(device, name, None))]:
         raise InputError(
             f"device must have read and command, got {type(device).__name__} without {' and '.join(missing)} for "

@@ -70,7 +70,10 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
         step_s=step_s,
         allow_unstable=allow_unstable,
     )
-    return motion, f"{scene.held.kind} in the hand of {person_of(scene.held.hand)}, {scene.held.renderer}: {'; '.join(notes)}"
+    return (
+        motion,
+        f"{scene.held.kind} in the hand of {person_of(scene.held.hand)}, {scene.held.renderer}: {'; '.join(notes)}",
+    )
 
 
 def _stray_m(scene: Scene) -> float:

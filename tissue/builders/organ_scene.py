@@ -14,14 +14,12 @@ from tissue.builders.organ_body import capsule_of, density_of, prony_of
 from tissue.builders.organ_law import organ_law
 from tissue.builders.parts import Parts
 from tissue.builders.pierced_tissue import pierced_tissue
-from tissue.builders.probe import poses_along, require_outside, shell_note
+from tissue.builders.probe import poses_along, probe_of, require_outside, shell_note
 from tissue.models.organ.probe import ShellProbe
 from tissue.models.wall import WallModel
 from tissue.motion.motion import Motion
 from tissue.scene.coupling import WallAnatomy
-from tissue.scene.named_parts import loaded
-from tissue.scene.organ import LayersAnatomy, LiverAnatomy, SlabAnatomy
-from tissue.scene.registry import PROBES
+from tissue.scene.organ import LayersAnatomy, LiverFile, SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe
 
@@ -77,18 +75,18 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
         If the organ cannot be meshed or held, the probe never touches it, or starts inside.
     """
     anatomy, organ = scene.anatomy, scene.organ
-    assert isinstance(anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe)
+    assert isinstance(anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
     notes: dict[str, str] = {}
     prony = prony_of(organ, notes, scene.constants)
     report("meshing the organ", 0.0)
-    edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+    edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
     within_m, path = 1e-3 * KEPT * edge_mm, motion.sweep_m()
     path = path[kept_corners(path, within_m)]
     meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=1e-3 * edge_mm, report=report)
-    from_file = isinstance(anatomy, LiverAnatomy) and anatomy.file is not None
+    from_file = isinstance(anatomy, LiverFile)
     found = meshed() if from_file else _meshes.of((anatomy.model_dump_json(), path.tobytes(), edge_mm), meshed)
     elasticity, note = elasticity_of(found.mesh, anatomy, organ, scene.constants)
-    probe = loaded(PROBES[scene.tool.kind].make)(scene.tool)
+    probe = probe_of(scene.tool)
     notes |= found.notes | {"modulus": note}
     if isinstance(probe, ShellProbe):
         notes["tool"] = shell_note(scene.tool, probe)
@@ -128,5 +126,5 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
 def wall(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
     """Parts of a scene in which a ball is pushed against a wall."""
     assert isinstance(scene.anatomy, WallAnatomy) and isinstance(scene.tool, Probe)
-    radius_m = 0.5e-3 * scene.tool.diameter_mm
+    radius_m = 0.5e-3 * scene.tool.size_mm
     return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=radius_m))

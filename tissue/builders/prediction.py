@@ -1,5 +1,6 @@
 """A predictor by its name."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from meshes.base.errors import InputError
@@ -10,7 +11,6 @@ from tissue.prediction.look_ahead import LookAhead
 from tissue.prediction.paths import FilteredPath, OperatorPath
 from tissue.prediction.predictor import Hold, Predictor
 from tissue.prediction.trained import Trained, shipped_file
-from tissue.scene.named_parts import loaded
 from tissue.scene.registry import PREDICTORS
 
 __all__ = [
@@ -59,7 +59,8 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
     entry = PREDICTORS[kind]
     if entry.trained and trained is None:
         raise InputError(f"trained must be given for {kind}, got nothing: pass Trained.read(FILE)")
-    return loaded(entry.make)(trained, force_limit_N)
+    make: Callable[[Trained | None, float], Predictor] = entry.make or globals()[kind.replace("-", "_")]
+    return make(trained, force_limit_N)
 
 
 def hold(trained: Trained | None, force_limit_N: float) -> Predictor:

@@ -1,23 +1,24 @@
 """Build what a scene names: its motion and its tissue, by the tables of `tissue.scene.registry`."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from meshes.base.errors import InputError, names_of_caller
 from meshes.base.progress import Progress
 from tissue.builders.own_constants import note_own_constants
-from tissue.builders.parts import Parts
+from tissue.builders.parts import Parts, TissueBuilder
 from tissue.builders.recorded import plays_record
 from tissue.motion.motion import FollowPath, Motion
 from tissue.motion.replay import ReplayPoses, read_replay
 from tissue.motion.thrust import PushAlongAxis
-from tissue.scene.named_parts import loaded
 from tissue.scene.registry import ANATOMIES, MOTIONS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion
 
-__all__ = ["build", "motion_of", "path", "replay", "thrust"]
+__all__ = ["build", "builder_of", "motion_of", "path", "replay", "thrust"]
 
 
 def build(
@@ -33,7 +34,7 @@ def build(
     """
     _require_device(compute)
     motion = motion_of(scene, step_s=step_s)
-    tissue = loaded(ANATOMIES[scene.anatomy.kind].build)
+    tissue = builder_of(scene.anatomy.kind)
     if scene.device is None:
         parts = tissue(scene, motion, step_s=step_s, compute=compute, cores=cores, report=report)
         note_own_constants(scene, parts.tissue.layer_names, parts.notes)
@@ -55,7 +56,8 @@ def motion_of(scene: Scene, *, step_s: float) -> Motion:
     if plays_record(scene):
         with names_of_caller({"motion.file": "hardware.address"}):
             return read_replay(Path(scene.held.hardware.address), step_s=step_s)
-    return loaded(MOTIONS[scene.motion.kind].make)(scene.motion, step_s)
+    make = MOTIONS[scene.motion.kind].make or MAKERS[scene.motion.kind]
+    return make(scene.motion, step_s)
 
 
 def path(motion: PathMotion, step_s: float) -> FollowPath:
@@ -78,6 +80,21 @@ def thrust(motion: ThrustMotion, step_s: float) -> PushAlongAxis:
 def replay(motion: ReplayMotion, step_s: float) -> ReplayPoses:
     """Recorded poses."""
     return read_replay(Path(motion.file), step_s=step_s)
+
+
+MAKERS: dict[str, Callable[[Any, float], Motion]] = {"path": path, "thrust": thrust, "replay": replay}
+"""What makes the built-in motions."""
+
+
+def builder_of(kind: str) -> TissueBuilder:
+    """Return what builds the parts of a run in a tissue, by the kind of its anatomy."""
+    from tissue.builders import cutting, organ_scene
+
+    outside: TissueBuilder | None = ANATOMIES[kind].build
+    if outside is not None:
+        return outside
+    others = {"slab": organ_scene.pressed, "liver": organ_scene.pressed, "layers": organ_scene.pierced}
+    return (others | {"wall": organ_scene.wall}).get(kind, cutting.milled)
 
 
 def _require_device(compute: str) -> None:

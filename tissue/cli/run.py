@@ -117,7 +117,7 @@ def run(
     link = _slicer_link(slicer, slicer_port, slicer_drives, live=live)
     by_hand = web or slicer_drives
     loaded = _load(scene, overrides, live=live, by_hand=by_hand)
-    if seed is not None and (band is None or loaded.device != "none"):  # without a device it is that of a band alone
+    if seed is not None and (band is None or loaded.device is not None):  # without a device it is that of a band alone
         loaded = _load(scene, overrides | {"seed": seed}, live=live, by_hand=by_hand)
     _refuse_unused(loaded, live=live, compute=compute, cores=cores, allow_unstable=allow_unstable)
     if band is not None:

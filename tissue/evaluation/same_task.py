@@ -7,7 +7,8 @@ from pathlib import Path
 
 from meshes.base.errors import InputError
 from tissue.scene.named_parts import shown
-from tissue.scene.scene import Scene, is_file_key
+from tissue.scene.part import is_file_key
+from tissue.scene.scene import Scene
 from tissue.simulation.run_summary import Summary
 
 __all__ = ["path_note", "require_same_task", "scene_notes"]

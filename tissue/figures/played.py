@@ -6,6 +6,7 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.builders.force_met import chosen_scale
 from tissue.figures.events import FLICKER_S, spells
 from tissue.figures.figure import figure, plain, save
 from tissue.haptics.device.device import device_parameters

@@ -5,7 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
-from tissue.scene.named_parts import loaded
+from tissue.figures.insertion import draw_insertion
+from tissue.figures.wall import draw_wall
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.tool import Needle
 from tissue.simulation.depth_map import depth_map
@@ -67,8 +68,9 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
     draw_force_torque(run, path("force_torque"))
     if scene.device is not None:
         draw_played(run, path("played"))
-    for name, draw in ANATOMIES[scene.anatomy.kind].pictures.items():
-        loaded(draw)(run, path(Path(name).stem))
+    own = {"layers": {"insertion": draw_insertion}, "wall": {"wall": draw_wall}}.get(scene.anatomy.kind, {})
+    for name, draw in {**own, **ANATOMIES[scene.anatomy.kind].pictures}.items():
+        draw(run, path(Path(name).stem))
     return [f"{name}.{kind} was not drawn: {note}" for name, note in notes.items() if note is not None]
 
 

@@ -23,7 +23,7 @@ def draw_wall(run: Run, path: Path) -> None:
     """
     trace, tool, wall = run.trace, run.scene.tool, run.scene.anatomy
     assert isinstance(tool, Probe) and isinstance(wall, WallAnatomy), wall.kind
-    radius = 0.5 * tool.diameter_mm
+    radius = 0.5 * tool.size_mm
     tips = trace.vectors("tool", "mm")
     device = trace.vectors("device", "mm") if "device_x_mm" in trace else None
     if device is not None:
@@ -70,6 +70,6 @@ def draw_wall(run: Run, path: Path) -> None:
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False, loc="upper left" if axes is felt else "upper right")
     felt.grid(axis="y", color="0.92", linewidth=0.6)
-    title = f"{run.scene.name}: {tool.diameter_mm:g} mm ball on a wall of {wall.stiffness_kN_m:g} kN/m"
+    title = f"{run.scene.name}: {tool.size_mm:g} mm ball on a wall of {wall.stiffness_kN_m:g} kN/m"
     chart.text(0.1, 0.965, title, va="center", size=10.5)
     save(chart, path)

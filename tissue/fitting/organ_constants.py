@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from tissue.builders.organ import NODULE_KPA, PART_NODULE
 from tissue.fitting.parameter import Parameter, chosen
 from tissue.materials.prior import Prior
-from tissue.scene.organ import SlabAnatomy, SoftAnatomy
+from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
 
@@ -62,8 +62,7 @@ def _stated(scene: Scene) -> list[Parameter]:
     organ, anatomy = scene.organ, scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
     parts = dict(organ.parts or {})
-    procedural = isinstance(anatomy, SlabAnatomy) or getattr(anatomy, "file", None) is None
-    if procedural and anatomy.nodule_diameter_mm > 0.0:
+    if anatomy.nodule_mm > 0.0:
         parts.setdefault(PART_NODULE, NODULE_KPA)
     found = {"organ.young_kPa": organ.young_kPa, "organ.young_end_kPa": organ.young_end_kPa}
     found |= {f"{PART}{name}": modulus for name, modulus in parts.items()}

@@ -14,14 +14,13 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
+from tissue.builders.registry import builder_of
 from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.fitting.organ_constants import KEYS, PART
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
 from tissue.scene.load import changed
-from tissue.scene.named_parts import loaded
-from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion
 from tissue.simulation.loop import Loop, undisturbed
@@ -113,7 +112,7 @@ def _loads(scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, va
         prompt = {"interval_ms": 0.0, "law_interval_ms": LAW_MS}
         organ = with_values.organ.model_copy(update=prompt)
         ran = with_values.model_copy(update={"motion": stands_in, "device": None, "duration_s": None, "organ": organ})
-        build = loaded(ANATOMIES[ran.anatomy.kind].build)
+        build = builder_of(ran.anatomy.kind)
         parts = build(ran, motion, step_s=TICK_S, compute="cpu", cores=1, report=silent)
     ticks = tick_count(ran, motion)
     loop = Loop(parts, ticks=ticks, output=ran.output)

@@ -13,6 +13,7 @@ __all__ = [
     "SurfaceAnatomy", "Tooth", "VertebraAnatomy", "WallAnatomy"
 ]  # fmt: skip
 
+
 class CutAnatomy(Part):
     """Bone or tooth that a cutter removes."""
 
@@ -167,7 +168,7 @@ class Bone(Part):
 
 
 class BoneSurface(Bone, SurfaceAnatomy):
-    """A bone from a surface file, such as `tissue import` writes of a CT. Origin at the site on its surface, +z outward."""
+    """A bone from a surface, as `tissue import` writes of a CT. Origin at the site on its surface, +z outward."""
 
 
 class BoneImage(Bone, ImageAnatomy):

@@ -41,7 +41,7 @@ class Coupling(Part):
 
 
 class Device(Part):
-    """A haptic device by which a hand moves the tool. A scene without this table has none: its motion moves the tool."""
+    """A haptic device by which a hand moves the tool. Without this table the motion moves the tool."""
 
     kind: Annotated[str, OneOf(DEVICES)] = Field(examples=["touch"])
     """Name of the device."""

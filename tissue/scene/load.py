@@ -15,6 +15,7 @@ from meshes.base.text_tables import DEEPEST, read_toml, require_shallow
 from tissue.scene.convert import FORMAT, converted, full_key
 from tissue.scene.messages import idle_keys, sentence
 from tissue.scene.named_parts import nearest, shown
+from tissue.scene.part import is_file_key
 from tissue.scene.plugins import refusal
 from tissue.scene.registry import PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
@@ -128,8 +129,9 @@ def _replaced(table: dict[str, Any], overrides: Mapping[str, object], *, live: b
         return _validated(table)
     own = _idle_keys(table)
     placed = deepcopy(table)
-    full = {full_key(key, value): None if (key, value) == ("device", "none") else value
-            for key, value in overrides.items()}
+    full = {
+        full_key(key, value): None if (key, value) == ("device", "none") else value for key, value in overrides.items()
+    }
     # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
     for key, value in sorted(full.items(), key=lambda item: item[0] != "device" and not item[0].endswith(".kind")):
         _place(placed, key, _absolute(value, Path.cwd(), key))
@@ -187,7 +189,7 @@ def _absolute(value: Any, folder: Path, key: str = "") -> Any:
         return PERCEPTIONS.with_file_at(value, folder)
     name = key.rpartition(".")[2]
     part = key.split(".")[0]
-    is_file = part in PARTS_WITH_FILES and (name == "file" or name.endswith("_file"))
+    is_file = part in PARTS_WITH_FILES and is_file_key(name)
     if is_file or key == "materials" or key.startswith("keep_clear.files."):
         return str((folder / value).resolve())
     return value

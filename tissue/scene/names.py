@@ -40,9 +40,7 @@ PROBES: Registry[ProbeEntry] = Registry(
     group="tissue.probes",
 )
 """Smooth tools that press, by their shape."""
-NEEDLES: Registry[Callable[..., Any] | None] = Registry(
-    "tool.kind", {"needle": None}, group="tissue.needles"
-)
+NEEDLES: Registry[Callable[..., Any] | None] = Registry("tool.kind", {"needle": None}, group="tissue.needles")
 """Needles: what each meets in tissue, from ``walls``, the membranes under the capsule from the surface downwards."""
 
 
@@ -86,8 +84,7 @@ PREDICTORS: Registry[PredictorEntry] = Registry(
         "dmdc": PredictorEntry(trained=True, colour="#009E73", marker="D"),
         "look-ahead": PredictorEntry(colour="#56B4E9", marker="<"),
         "koopman": PredictorEntry(trained=True, colour="#0072B2", marker="o"),
-        "koopman-look-ahead": PredictorEntry(trained=True, colour="#D55E00", marker="P"
-        ),
+        "koopman-look-ahead": PredictorEntry(trained=True, colour="#D55E00", marker="P"),
     },
     group="tissue.predictors",
 )

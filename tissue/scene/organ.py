@@ -11,7 +11,7 @@ from tissue.scene.choices import OneOf
 from tissue.scene.names import ORGAN_MATERIALS
 from tissue.scene.part import FileName, Length_mm, Needs, Part, Rule, Vector
 
-__all__ = ["LayersAnatomy", "LiverAnatomy", "LiverFile", "Organ", "SlabAnatomy", "SoftAnatomy"]
+__all__ = ["Held", "LayersAnatomy", "LiverAnatomy", "LiverFile", "Organ", "SlabAnatomy", "SoftAnatomy", "WithNodule"]
 
 LAYERS = ("capsule", "parenchyma")
 """What a needle meets in every scene."""
@@ -166,7 +166,9 @@ class Organ(Part):
     """Young's moduli of parts, by their names or numbers in the file [kPa]; the ball is `nodule`, without it 50 kPa."""
     poisson_ratio: float | None = Field(None, gt=-1, lt=0.5, examples=[0.45])
     """Poisson's ratio; without it the cited one."""
-    fibre_direction: Annotated[Vector | None, Needs("organ.fibre_modulus_ratio")] = Field(None, examples=[(1.0, 0.0, 0.0)])
+    fibre_direction: Annotated[Vector | None, Needs("organ.fibre_modulus_ratio")] = Field(
+        None, examples=[(1.0, 0.0, 0.0)]
+    )
     """Direction of fibres; with it the tissue is transversely isotropic."""
     fibre_modulus_ratio: Annotated[float, Needs("organ.fibre_direction")] = Field(1.0, ge=0.25, le=10)
     """Young's modulus along the fibres over that across them. The bulk modulus is that of the tissue without fibres."""

@@ -7,7 +7,18 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
-__all__ = ["LONGEST_PATH", "FileName", "Idle", "Length_mm", "Needs", "Part", "Rule", "Vector"]
+__all__ = [
+    "LONGEST_PATH",
+    "FileName",
+    "Idle",
+    "Length_mm",
+    "Needs",
+    "Part",
+    "Rule",
+    "Vector",
+    "is_file_key",
+    "is_given",
+]
 
 LONGEST_PATH = 1000
 """Characters of a file's path. Longer texts are no paths that a user wrote."""
@@ -20,10 +31,20 @@ Rule = tuple[str, bool, str, str]
 
 
 class Idle(NamedTuple):
-    """Reason why a key has no effect, such as ``without a nodule``, and the remedy, such as ``set tool.kind = needle``."""
+    """Reason why a key has no effect, such as ``without a nodule``, and what to set instead."""
 
     where: str
     remedy: str
+
+
+def is_given(part: "Part", name: str) -> bool:
+    """Return whether an entry was set: what a build asks that finds a key without effect."""
+    return name in part.model_fields_set and getattr(part, name) is not None
+
+
+def is_file_key(name: str) -> bool:
+    """Return whether a key of an anatomy, motion, tool or device names a file."""
+    return name == "file" or name.endswith("_file")
 
 
 @dataclass(frozen=True)

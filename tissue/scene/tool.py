@@ -12,7 +12,8 @@ from tissue.scene.names import CUTTERS, NEEDLES, PROBES
 from tissue.scene.part import FileName, Needs, Part, Vector
 
 __all__ = [
-    "Motion", "Needle", "PathMotion", "Probe", "ReplayMotion", "ThrustMotion", "Tool", "tool_of", "tool_parts",
+    "Motion", "Needle", "PathMotion", "Probe", "ReplayMotion", "ThrustMotion", "Tool", "probe_part", "tool_of",
+    "tool_parts",
 ]  # fmt: skip
 
 CUTTER_KEYS: dict[str, Any] = {
@@ -74,6 +75,13 @@ class Tool(Shaped):
         """Diameter and length of the guide peg [mm]; zeros without one."""
         return getattr(self, "peg_diameter_mm", 0.0), getattr(self, "peg_length_mm", 0.0)
 
+    def without_peg(self) -> "Tool":
+        """Return the cutter without its peg, its elements as fine as usual."""
+        pegs: dict[str, Any] = {
+            name: 0.0 for name in ("peg_diameter_mm", "peg_length_mm") if name in type(self).model_fields
+        }
+        return self.model_copy(update={**pegs, "shell_spacing_mm": None})
+
     @model_validator(mode="after")
     def _spins_and_peg_fits(self) -> "Tool":
         if 0.0 < abs(self.spin_rpm) < 1.0:
@@ -94,6 +102,16 @@ class Probe(Shaped):
     """A smooth tool that presses: a ball, the flat end of a cylinder, or any closed surface."""
 
     @property
+    def file_name(self) -> str:
+        """File of the surface; empty for a round probe."""
+        return str(getattr(self, "file", ""))
+
+    @property
+    def scale(self) -> float:
+        """Millimetres per unit of the file."""
+        return float(getattr(self, "scale_mm", 1.0))
+
+    @property
     def size_mm(self) -> float:
         """Diameter of a round probe; of another one a fingertip's [mm]."""
         return float(getattr(self, "diameter_mm", USUAL_PROBE_MM))
@@ -105,8 +123,11 @@ def _shaped(base: type[Shaped], kind: str, keys: tuple[str, ...]) -> type[Shaped
     shapes = CUTTER_KEYS if base is Tool else PROBE_KEYS
     word = kind.title().replace("-", "").replace("_", "")
     entries = {key: shapes[key] for key in keys}
-    stated = Field(description="Shape of the cutter." if base is Tool else "Shape of the probe.")
-    return create_model(word, __base__=base, __doc__=base.__doc__, kind=(Literal[kind], stated), **entries)
+    entries["kind"] = (
+        Literal[kind],
+        Field(description="Shape of the cutter." if base is Tool else "Shape of the probe."),
+    )
+    return create_model(word, __base__=base, __doc__=base.__doc__, **entries)
 
 
 def tool_parts() -> "tuple[type[Part], ...]":
@@ -114,6 +135,13 @@ def tool_parts() -> "tuple[type[Part], ...]":
     cutters = [_shaped(Tool, kind, CUTTERS[kind].keys) for kind in CUTTERS.known]
     probes = [_shaped(Probe, kind, PROBES[kind].keys) for kind in PROBES.known]
     return (*cutters, *probes, Needle)
+
+
+def probe_part(**entries: Any) -> Probe:
+    """Return the probe that entries with a kind describe."""
+    made = tool_of(entries)
+    assert isinstance(made, Probe)
+    return made
 
 
 def tool_of(entries: dict[str, Any]) -> Shaped:

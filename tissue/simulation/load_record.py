@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.builders.registry import motion_of
+from tissue.builders.registry import builder_of, motion_of
 from tissue.haptics.loop.vibration import Vibration
 from tissue.materials.cutting import CuttingCoefficients
 from tissue.models.bone.density_nodes import DensityNodes
@@ -26,8 +26,7 @@ from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S
 from tissue.models.tooth.model import ToothModel
 from tissue.motion.motion import Motion
-from tissue.scene.named_parts import loaded
-from tissue.scene.registry import ANATOMIES
+from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion, Tool
 from tissue.simulation.loop import Loop, undisturbed
@@ -164,7 +163,7 @@ def _values(coefficients: CuttingCoefficients) -> Array:
 
 def why_not_linear(scene: Scene) -> str:
     """Why the loads of a scene do not follow from one run for other coefficients, in words; empty where they do."""
-    if ANATOMIES[scene.anatomy.kind].build != "tissue.builders.cutting:milled" or not isinstance(scene.tool, Tool):
+    if not isinstance(scene.anatomy, CutAnatomy) or not isinstance(scene.tool, Tool):
         return f"a {scene.tool.kind} in a {scene.anatomy.kind} has no cutting coefficients to be linear in"
     if scene.device is not None:
         return f"the device {scene.held.kind} yields to the force, so that the tool's path depends on the coefficients"
@@ -210,7 +209,7 @@ def record_loads(
         raise InputError(f"scene must have a force that is linear in the coefficients, got one where {why}: run it")
     scene = scene.model_copy(update={"stress": None, "heat": False, "keep_clear": None})
     motion = motion or motion_of(scene, step_s=TICK_S)
-    build = loaded(ANATOMIES[scene.anatomy.kind].build)
+    build = builder_of(scene.anatomy.kind)
     parts = build(scene, motion, step_s=TICK_S, compute=compute, cores=cores, report=report)
     model = parts.tissue.milling if isinstance(parts.tissue, ToothModel) else parts.tissue
     assert isinstance(model, BoneModel)

@@ -111,7 +111,7 @@ def stretch_force_N(run: SimulatedRun) -> Array:
     InputError
         If the run had no device.
     """
-    coupling, trace = ideal_scene(run.scene).coupling, run.trace
+    coupling, trace = ideal_scene(run.scene).held.coupling, run.trace
     assert coupling.stiffness_N_m is not None
     start_mm = 1e3 * run.parts.motion.sweep_m()[0]
     tool_mm = start_mm + (trace.vectors("tool", "mm") - start_mm) / coupling.motion_scale

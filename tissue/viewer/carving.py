@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.base.placement import Placement
 from meshes.voxels.volume import VoxelVolume
+from tissue.builders.cutting import milled_voxels
 from tissue.motion.pose_file import poses_of_trace, read_poses
-from tissue.scene.named_parts import loaded
-from tissue.scene.registry import ANATOMIES
+from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.bone_surface import smooth_normals
@@ -163,12 +163,11 @@ def _over_time(
 
 def _coarse(scene: Scene) -> VoxelVolume | None:
     """The bone that a scene starts from, in coarse voxels; None of one that comes from a file, or of none."""
-    make = ANATOMIES[scene.anatomy.kind].voxels
-    if make is None or getattr(scene.anatomy, "file", None) is not None:
+    if not isinstance(scene.anatomy, CutAnatomy) or scene.anatomy.from_file is not None:
         return None
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)
     with suppress(InputError):
-        return loaded(make)(
+        return milled_voxels(
             scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
         )
     return None

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from meshes.base.isolated_parser import parse_isolated
 from tissue.builders.registry import motion_of
 from tissue.models.tissue_model import TICK_S
-from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
@@ -47,8 +46,10 @@ def require_whole(saved: SavedRun) -> None:
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
     """Pieces of the faces that a tool goes through or presses [mm], by name; none of voxels or a mesh."""
-    make = None if scene is None else ANATOMIES[scene.anatomy.kind].faces
-    return {} if scene is None or make is None else loaded(make)(scene)
+    if scene is None:
+        return {}
+    make = ANATOMIES[scene.anatomy.kind].faces or {"layers": layer_faces, "wall": wall_face}.get(scene.anatomy.kind)
+    return {} if make is None else make(scene)
 
 
 def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":

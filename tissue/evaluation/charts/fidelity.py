@@ -90,8 +90,8 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
         + f" of {len(found.points)} settings that meets {_asked(wanted)}{law}"
     )
     leaves_out = [f"{point.leaves_out}, which no force needs"] if point.leaves_out else []
-    late_ms = at.coupling.delay_ms + at.coupling.model_ms - 1
-    if at.device != "none" and at.prediction in ("none", "hold") and late_ms > 0:
+    late_ms = 0 if at.device is None else at.device.coupling.delay_ms + at.device.coupling.model_ms - 1
+    if at.device is not None and at.device.prediction in ("none", "hold") and late_ms > 0:
         leaves_out.append(f"prediction, so that the force comes up to {late_ms} ms late")
     if leaves_out:
         sentence += f"; leaves out {'; and '.join(leaves_out)}"

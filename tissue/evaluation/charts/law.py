@@ -139,7 +139,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
         return None
     if organ.fibre_direction is not None or organ.capsule or organ.gravity:
         return None
-    radius = 0.5e-3 * tool.diameter_mm
+    radius = 0.5e-3 * tool.size_mm
 
     def make() -> dict[str, NDArray[np.generic]]:
         """Both laws at the instants, as arrays that a file can hold."""
@@ -175,7 +175,7 @@ def _solvers(scene: Scene, coarser: float, laws: "Sequence[Law]") -> "list[Newto
     from tissue.fem.space import Space
 
     assert isinstance(scene.anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
-    edge_m = 1e-3 * (scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm)
+    edge_m = 1e-3 * (scene.anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm)
     path = motion_of(scene, step_s=TICK_S).sweep_m()
     found = coarser_mesh(scene, path_m=path, touch_edge_m=edge_m, ratio=coarser, report=silent)
     space = Space(found.mesh, scene.organ.order)

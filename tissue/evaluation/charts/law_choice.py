@@ -53,7 +53,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
         return scene, ""
     if organ.law != "linear" or not isinstance(tool, Probe) or tool.kind != "sphere-probe":
         return scene, ""
-    depth = _greatest_depth_mm(scene) / (0.5 * tool.diameter_mm)
+    depth = _greatest_depth_mm(scene) / (0.5 * tool.size_mm)
     error = linear_error(depth)
     if error <= wanted.force_error:
         return scene, f"; linear law, {100.0 * error:.2g} % off a neo-Hookean one {depth:.2g} radii deep"

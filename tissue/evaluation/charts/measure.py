@@ -227,5 +227,5 @@ def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
     if isinstance(scene.anatomy, SoftAnatomy) and isinstance(scene.tool, Probe):
         contacts, sweeps = trace["contact_points"][counted], trace["sweeps"][counted]
         visits, pairs = float(np.median(contacts * sweeps)), float(np.median(contacts**2 * sweeps))
-        return round(visits), pairs, scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+        return round(visits), pairs, scene.anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
     return 1, 1.0, 1.0

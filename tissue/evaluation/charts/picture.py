@@ -92,7 +92,7 @@ def _draw(axes: "Axes", found: Frontier) -> None:
         yscale="log",
         xlabel="tick in contact / µs: median, line to its 99th percentile",
         ylabel="force error over ticks / %, to the reference",
-        title=f"{found.scene.name}, " + ("by script" if device == "none" else f"by hand on {device}"),
+        title=f"{found.scene.name}, " + ("by script" if device is None else f"by hand on {device.kind}"),
     )
     plain_numbers(axes.yaxis)
     plain_numbers(axes.xaxis)

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
-from tissue.scene.tool import PathMotion, Tool
+from tissue.scene.tool import PathMotion, Probe, Tool
 
 __all__ = ["PLACES", "moved", "placed"]
 
@@ -26,9 +26,9 @@ def placed(scene: Scene) -> list[Scene]:
         return [scene]
     if isinstance(scene.tool, Tool):
         # A peg in its hole leaves the tool no more than this.
-        step = scene.voxels.spacing_mm * (0.5 if scene.tool.peg_diameter_mm else COARSEST)
-    elif isinstance(scene.anatomy, SoftAnatomy):
-        step = scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+        step = scene.voxels.spacing_mm * (0.5 if scene.tool.peg_mm[0] else COARSEST)
+    elif isinstance(scene.anatomy, SoftAnatomy) and isinstance(scene.tool, Probe):
+        step = scene.anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
     else:
         return [scene]
     return [scene, *(moved(scene, x * step, y * step, depth=depth) for x, y, depth in PLACES[1:])]

@@ -104,7 +104,7 @@ def notes_before(names: Sequence[str]) -> list[str]:
     notes = []
     for name in names or scene_names():
         for kind in charted(load_scene(name)):
-            missing = untrained(kind) if kind.device != "none" else ()
+            missing = untrained(kind) if kind.device is not None else ()
             if missing:
                 notes.append(
                     f"{name}: {', '.join(missing)} are left out, no trained predictor. "

@@ -10,7 +10,7 @@ from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy
 from tissue.scene.registry import PREDICTORS, RENDERERS
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
+from tissue.scene.tool import Probe, Tool
 
 __all__ = ["LATENCY_MS", "Setting", "by_hand", "finest", "grids", "refined", "settings_of", "shares", "untrained"]
 
@@ -137,8 +137,8 @@ def _shell_mm(tool: Tool) -> float:
 
 def _edge_mm(scene: Scene, anatomy: SoftAnatomy) -> float:
     """Edge of a tetrahedron under the tool where a scene sets none."""
-    assert not isinstance(scene.tool, Tool)
-    return anatomy.touch_edge_mm or 0.25 * probe_mm(scene.tool)
+    assert isinstance(scene.tool, Probe)
+    return anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
 
 
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from tissue.builders.force_met import chosen_scale
 from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.puncture import NOTICED
 from tissue.perception.observer import Observer

@@ -13,6 +13,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from tissue.builders.force_met import chosen_scale
 from tissue.builders.loop import judged_loop
 from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.calibration.simulated_observer import draw_observers

@@ -8,6 +8,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
+from tissue.builders.force_met import chosen_scale
 from tissue.builders.hand import hand_motion
 from tissue.builders.loop import judged_loop
 from tissue.builders.loop_settings import loop_settings

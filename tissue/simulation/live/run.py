@@ -17,6 +17,7 @@ from meshes.base.progress import Progress
 from tissue.builders.device import opened_device, opens_device
 from tissue.builders.parts import Parts
 from tissue.haptics.device.recorded import MouseDevice
+from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.scene import Scene
 from tissue.simulation.live.clock import BEHIND_S, WallClock
 from tissue.simulation.live.page import Page, require_web
@@ -126,7 +127,7 @@ def live(
         page = Page(opened)
     by_mouse, note = moved_by(scene, web=page is not None, slicer=by_slicer)
     if by_mouse:
-        device = scene.device or Device(kind=REPLACED_DEVICE)
+        device = scene.device or StatedDevice(kind=REPLACED_DEVICE)
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
         coupling = device.coupling.model_copy(update={"roam_mm": device.coupling.roam_mm or roam_mm})
         device = device.model_copy(update={"coupling": coupling})
