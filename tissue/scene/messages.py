@@ -1,6 +1,6 @@
 """Faults of a scene, each in one sentence: key, requirement, value and remedy."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from types import UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
 
@@ -35,7 +35,7 @@ def sentence(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     if kind == "extra_forbidden":
         return _unknown_key(names, table, model)
     if names == ("device", "kind") and kind == "missing":
-        given = [f"{name} = {shown(value)}" for name, value in _inner(table, "device").items()]
+        given = [f"{name} = {shown(value)}" for name, value in _entries(_inner(table, "device"))]
         return f"device must be given for {', '.join(given) or 'a table [device]'}: set device = touch, or remove it"
     field = _field_at(names, table, model)
     if kind == "missing" and len(path) == len(names):
@@ -77,9 +77,15 @@ def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -
     got = shown(_value_at(names, table))
     same = [other for other in others if set(kinds_of(other)) & set(kinds)]
     if same:
-        sources = " or ".join(dict.fromkeys(str(getattr(other, "source", "")) for other in same))
         source = str(getattr(chosen, "source", ""))
-        return f"{key} must be left out for a {kinds[0]} {source}, got {got}: it is for one {sources}. Remove it"
+        sources = [str(getattr(other, "source", "")) for other in same]
+        if source == "procedural":
+            where, remedy = f"a procedural {kinds[0]}", f"set {part}.file"
+        elif "procedural" in sources:
+            where, remedy = f"a {kinds[0]} {source}", "leave its file out"
+        else:
+            where, remedy = f"a {kinds[0]} {source}", f"use one {' or '.join(sources)}"
+        return f"{key} must be left out for {where}, got {got}: {remedy}, or remove it"
     other_kind = kinds_of(others[0])[0]
     return f"{key} must be left out for a {kinds[0]}, got {got}: set {part}.kind = {other_kind}, or remove it"
 
@@ -102,6 +108,15 @@ def _holders(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> li
     if names[-2] not in outer.model_fields:
         return []
     return [part for part in _parts(outer.model_fields[names[-2]]) if names[-1] in part.model_fields]
+
+
+def _entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the dotted keys and the values of nested tables."""
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _entries(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
 
 
 def _shown(value: object) -> str:

@@ -106,8 +106,10 @@ class Part(BaseModel):
         found: dict[str, object] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
-            if isinstance(value, Part) and field.default is not None:
-                found |= value.changed_entries(f"{prefix}{name}.")
+            if isinstance(value, Part):
+                inner = value.changed_entries(f"{prefix}{name}.")
+                # An optional table asks for something even where it holds defaults alone.
+                found |= inner or ({f"{prefix}{name}": {}} if field.default is None else {})
             elif name != "kind" and value != field.default:
                 found[f"{prefix}{name}"] = value
         return found

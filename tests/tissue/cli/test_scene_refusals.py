@@ -7,7 +7,7 @@ from coarse_run import COARSE
 
 from tissue.scene.load import scene_text
 
-PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, keep_clear, cutting, output, device, hand, renderer, prediction, perception, coupling, hardware, stress, heat, organ, materials, fidelity"
+PARTS = "name, description, seed, duration_s, anatomy, voxels, tool, motion, keep_clear, cutting, output, device, stress, heat, organ, materials, fidelity"
 CUTTERS = "ball-burr, pear-bur, cylinder, twist-drill, hemispherical-reamer, flat-reamer, sphere-probe, cylinder-probe, shell-probe, needle"
 POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
 
@@ -45,15 +45,15 @@ POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
         ),
         (
             "anatomy=5",
-            "anatomy must be a table with entries such as file, scale_mm, centre_mm, got 5: see `tissue scenes NAME`",
+            "anatomy must be a table with entries such as kind, guide_hole_diameter_mm, guide_hole_depth_mm, got 5: see `tissue scenes NAME`",
         ),
         (
             "coupling.force_scale=autos",
-            "coupling.force_scale must be a number at least 0.0001 and at most 100 or auto, got autos: use 0.1",
+            "device must be given for coupling.force_scale = autos: set device = touch, or remove it",
         ),
         (
             "coupling.force_scale=-1",
-            "coupling.force_scale must be at least 0.0001 and at most 100 or auto, got -1: use 0.1",
+            "device must be given for coupling.force_scale = -1: set device = touch, or remove it",
         ),
         ("seed.low=1", "seed.low must name an entry of a part, got seed, which is a value: see `tissue scenes NAME`"),
         ("seed=-1", "seed must be at least 0 and below 9223372036854775808, got -1: use 0"),
@@ -88,7 +88,7 @@ POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
             "and at most "
             "500, got [0, 1, 1]: use [20, 12, 8]",
         ),
-        ("anatomy.normal=5", "anatomy.normal must be three finite numbers [x, y, z], got 5: use [0, 0, 1]"),
+        ("anatomy.normal=5", "anatomy.normal must be left out for a procedural block, got 5: set anatomy.file, or remove it"),
         (
             "tool.spin_rpm=0.5",
             "tool.spin_rpm must be at least 1 in size, or 0 for a tool that only touches, got 0.5: use 500",
@@ -101,13 +101,13 @@ POINTS = "motion.points_mm must be a list of at least two points [x, y, z], got"
         ),
         (
             "tool.peg_diameter_mm=2",
-            "tool.peg_diameter_mm must be left out for a ball-burr, got 2: set tool.kind = flat-reamer, or remove it",
+            "tool.peg_diameter_mm must be left out for a ball-burr, got 2: set tool.kind = hemispherical-reamer, or remove it",
         ),
         ("spacing", "--set must be key=value, got spacing: use for example voxels.spacing_mm=0.2"),
         ("=1", "--set must be key=value, got =1: use for example voxels.spacing_mm=0.2"),
         (
             "perception=all",
-            "perception must be one of none, population, observer:FILE, got all: choose one of these",
+            "device must be given for perception = all: set device = touch, or remove it",
         ),
     ],
 )
