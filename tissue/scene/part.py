@@ -38,8 +38,8 @@ class Idle(NamedTuple):
 
 
 def is_given(part: "Part", name: str) -> bool:
-    """Return whether an entry was set: what a build asks that finds a key without effect."""
-    return name in part.model_fields_set and getattr(part, name) is not None
+    """Return whether an entry was set to other than its default: what a build asks that finds it without effect."""
+    return name in part.model_fields_set and getattr(part, name) != type(part).model_fields[name].default
 
 
 def is_file_key(name: str) -> bool:
