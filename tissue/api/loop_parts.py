@@ -17,8 +17,8 @@ from tissue.api.organ import Organ
 from tissue.api.tools import PressingTool
 from tissue.builders.bone import VoxelBone, tool_boxes
 from tissue.builders.device import require_stated_rate
-from tissue.builders.loop_settings import Contact, LoopSettings, sampled
-from tissue.builders.prediction import predictor as predictor_by_name
+from tissue.builders.loop_settings import Contact, LoopSettings, no_predictor, sampled
+from tissue.builders.prediction import maker_of
 from tissue.cutters import Cutter
 from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import hand_parameters
@@ -196,23 +196,19 @@ def settings_of(
         raise InputError(f"predictor_file must come with a predictor's name, got {predictor!r}: name one, or drop it")
     RENDERERS[renderer]  # refused here, by the argument's own name
 
-    def made() -> Predictor | None:
-        """A new predictor, for the loop or to be probed."""
-        limit_N = numbers.force_limit_N
-        if predictor is None:
-            return None
-        if isinstance(predictor, str):
-            file = str(predictor_file or "")
-            return predictor_by_name(predictor, scene_name="", file=file, force_limit_N=limit_N)
-        return GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))(None, limit_N)
+    limit_N = numbers.force_limit_N
+    made: Callable[[], Predictor | None] = no_predictor
+    if isinstance(predictor, str):
+        made = maker_of(predictor, scene_name="", file=str(predictor_file or ""), force_limit_N=limit_N)
+    elif predictor is not None:
+        guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))
+        made = lambda: guarded(None, limit_N)  # noqa: E731
 
     given = {name: value for name, value in coupling.items() if value is not None}
     try:
         chosen = Coupling.model_validate(given)
     except ValidationError as error:
-        fault = error.errors()[0]
-        fault["loc"] = ("coupling", *fault["loc"])
-        raise InputError(sentence(fault, {"coupling": given}).removeprefix("coupling.")) from None
+        raise InputError(sentence(error.errors()[0], given, Coupling)) from None
     return LoopSettings(
         type(device).__name__,
         numbers,

@@ -69,7 +69,8 @@ def coarser_mesh(scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: flo
     assert isinstance(anatomy, SoftAnatomy)
     edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else ratio)
     # Not as if it had been set: tetrahedra from a file have edges of their own.
-    coarse = type(anatomy).model_construct(anatomy.model_fields_set - {"edge_mm"}, **(dict(anatomy) | {"edge_mm": edge_mm}))
+    given = anatomy.model_fields_set - {"edge_mm"}
+    coarse = type(anatomy).model_construct(given, **(dict(anatomy) | {"edge_mm": edge_mm}))
     return held_mesh(coarse, path_m=path_m, touch_edge_m=ratio * touch_edge_m, report=report)
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.faces import faces_of
 from tissue.figures.tool_mesh import tool_surface
 from tissue.links import igtl_messages as igtl
 from tissue.links.slicer_frame import SlicerFrame
@@ -13,7 +14,6 @@ from tissue.motion.motion import matrix_of
 from tissue.scene.scene import Scene
 from tissue.simulation.bone_surface import with_layers
 from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start
-from tissue.viewer.run import faces_of
 
 if TYPE_CHECKING:
     import pyvista

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.faces import faces_of
 from tissue.figures.style import COMPONENTS, layer_colours
 from tissue.figures.tool_mesh import turning_tool
 from tissue.reporting.packing import Record, packed_mesh, packed_vectors
@@ -15,7 +16,6 @@ from tissue.scene.tool import Probe
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, field_names
 from tissue.simulation.trace import Table
-from tissue.viewer.run import faces_of
 
 if TYPE_CHECKING:
     import pyvista

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.faces import faces_of
 from tissue.figures.style import layer_colours
 from tissue.figures.tool_mesh import turning_tool
 from tissue.simulation.run_folder import SavedRun
@@ -23,7 +24,6 @@ from tissue.viewer.movie import movie_times_s
 from tissue.viewer.pick import NameList, PointRead
 from tissue.viewer.play import Playback
 from tissue.viewer.plotter import Plotter, add_names, free_keys, on_click
-from tissue.viewer.run import faces_of
 from tissue.viewer.still import add_scale_bar, leave_alone
 
 if TYPE_CHECKING:

@@ -40,7 +40,7 @@ def force_N(run):
 
 
 def test_a_table_loads_lists_and_refuses():
-    table = Registry("renderer", {"proxy": "tissue.haptics.renderer:proxy"})
+    table = Registry("renderer", {"proxy": dict})
     assert list(table) == ["proxy"] and len(table) == 1 and "proxy" in table and callable(table["proxy"])
     with pytest.raises(
         InputError, match=r"^renderer must be one of proxy, got prox \(did you mean proxy\?\): choose one"
@@ -49,7 +49,7 @@ def test_a_table_loads_lists_and_refuses():
     with pytest.raises(
         InputError, match=r"^name must be none of proxy, got proxy: choose another name for this renderer$"
     ):
-        table.add("proxy", "elsewhere:proxy")
+        table.add("proxy", dict)
     table.remove("proxy")
     assert table.names == ()
     with pytest.raises(InputError, match=r"^renderer must be one of"):

@@ -14,6 +14,7 @@ from tissue.builders.force_met import chosen_scale
 from tissue.cutters.profile import cylinder
 from tissue.evaluation.charts.frontier import frontier_of
 from tissue.evaluation.charts.picture import draw_frontiers
+from tissue.figures.faces import faces_of
 from tissue.models.needle.parameters import needle_tissue
 from tissue.models.organ.probe import SphereProbe
 from tissue.motion.motion import Motion
@@ -30,7 +31,6 @@ from tissue.scene.registry import (
 )
 from tissue.simulation.run_folder import SavedRun
 from tissue.system.offscreen import draw_apart
-from tissue.viewer.run import faces_of
 
 
 def test_a_cutter_from_outside_cuts(added):

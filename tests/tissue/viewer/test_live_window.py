@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
+from tissue.figures.faces import faces_of
 from tissue.figures.wall import draw_wall
 from tissue.simulation.live.shared import SharedArrays
 from tissue.simulation.live.surfaces import FADES_MM, BoneSurface, OrganSurface
@@ -11,7 +12,6 @@ from tissue.simulation.live.tissues import BoneShared, OrganShared
 from tissue.viewer.live.pointer import Pointer
 from tissue.viewer.live.target import KEY_MM, NOTCH_MM
 from tissue.viewer.live.tissue_shown import LiveBone, LiveOrgan
-from tissue.viewer.run import faces_of
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -8,12 +8,12 @@ import pytest
 from fake_fields import PARTS, pressed_run, pressed_series
 
 from tissue import InputError, load_scene
+from tissue.figures.faces import faces_of
 from tissue.figures.press import draw_press
 from tissue.figures.style import field_colours
 from tissue.figures.tool_mesh import tool_surface
 from tissue.scene.tool import Needle, Probe
 from tissue.simulation.run_folder import SavedRun
-from tissue.viewer.run import faces_of
 from tissue.viewer.view import view
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from meshes.base.arrays import Array
-from tissue.builders.prediction import predictor
+from tissue.builders.prediction import maker_of
 from tissue.evaluation.atlas.drawing import BLUE, GREY, ORANGE, RED, panel
 from tissue.evaluation.atlas.page import Answer, Conduct, Data, Page, Verdict, error_of, refused, shown, sweep
 from tissue.evaluation.atlas.tapping import LIMIT_N, TICK_S, TURN, koopman, relative_error, tapped
@@ -97,7 +97,7 @@ def ask() -> list[Answer]:
         path = trained.write(Path(folder) / "wall.npz")
         other = refused(
             "the Koopman predictor of another scene",
-            lambda: predictor("koopman", scene_name="molar", file=str(path), force_limit_N=LIMIT_N),
+            lambda: maker_of("koopman", scene_name="molar", file=str(path), force_limit_N=LIMIT_N)(),
         )
         path.write_bytes(path.read_bytes()[:200])
         files = [other, refused("a file that was cut off", lambda: read_predictor(path))]

@@ -7,6 +7,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.faces import faces_of
 from tissue.figures.style import layer_colours
 from tissue.figures.tool_mesh import turning_tool
 from tissue.scene.scene import Scene
@@ -15,7 +16,6 @@ from tissue.viewer.camera import aim
 from tissue.viewer.live.readings import Readings
 from tissue.viewer.live.tissue_shown import live_tissue
 from tissue.viewer.plotter import Plotter
-from tissue.viewer.run import faces_of
 from tissue.viewer.tool import ToolShown
 
 __all__ = ["DEVICE", "LiveScene"]

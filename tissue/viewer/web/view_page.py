@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.faces import faces_of
 from tissue.figures.style import layer_colours
 from tissue.figures.tool_mesh import turning_tool
 from tissue.simulation.run_folder import SavedRun
@@ -18,7 +19,6 @@ from tissue.viewer.camera import aim
 from tissue.viewer.carving import bone_of
 from tissue.viewer.fields import FieldsShown
 from tissue.viewer.moment import MomentShown
-from tissue.viewer.run import faces_of
 from tissue.viewer.web.colour_scale import taken_scale
 from tissue.viewer.web.messages import Values
 from tissue.viewer.web.process import serve
