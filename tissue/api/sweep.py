@@ -17,8 +17,8 @@ from tissue.api.progress import Bar, reporting
 from tissue.api.simulate import simulate
 from tissue.api.sweep_plan import Planned, planned
 from tissue.api.sweep_table import FILES, Sweep, SweptRun
-from tissue.scene.registered import registered_parts, unknown_parts
 from tissue.scene.scene import Scene
+from tissue.scene.texts import registered_parts, unknown_parts
 from tissue.simulation.run_summary import summary_of
 from tissue.system.owned_folder import owned_folder
 from tissue.system.workers import first_done, worker_pool
