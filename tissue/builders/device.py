@@ -1,7 +1,7 @@
 """The real device that a scene names, where what was registered opens one."""
 
 from meshes.base.errors import InputError
-from tissue.builders.registry import motion_of
+from tissue.builders.motions import motion_of
 from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.models.tissue_model import TICK_S

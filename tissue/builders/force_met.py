@@ -6,8 +6,8 @@ from math import floor, log10, sqrt
 import numpy as np
 
 from meshes.base.progress import silent
+from tissue.builders.motions import motion_of
 from tissue.builders.pierced_tissue import pierced_tissue
-from tissue.builders.registry import motion_of
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion

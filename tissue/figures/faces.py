@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from tissue.builders.registry import motion_of
+from tissue.builders.motions import motion_of
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES

@@ -68,8 +68,8 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
     draw_force_torque(run, path("force_torque"))
     if scene.device is not None:
         draw_played(run, path("played"))
-    own = {"layers": {"insertion": draw_insertion}, "wall": {"wall": draw_wall}}.get(scene.anatomy.kind, {})
-    for name, draw in {**own, **ANATOMIES[scene.anatomy.kind].pictures}.items():
+    built_in = {"layers": {"insertion": draw_insertion}, "wall": {"wall": draw_wall}}.get(scene.anatomy.kind, {})
+    for name, draw in {**built_in, **ANATOMIES[scene.anatomy.kind].pictures}.items():
         draw(run, path(Path(name).stem))
     return [f"{name}.{kind} was not drawn: {note}" for name, note in notes.items() if note is not None]
 

@@ -127,7 +127,7 @@ def _replaced(table: dict[str, Any], overrides: Mapping[str, object], *, live: b
     _require_no_nul(overrides)
     if not overrides:
         return _validated(table)
-    own = _idle_keys(table)
+    already_idle = _idle_keys(table)
     placed = deepcopy(table)
     full = {
         full_key(key, value): None if (key, value) == ("device", "none") else value for key, value in overrides.items()
@@ -137,13 +137,13 @@ def _replaced(table: dict[str, Any], overrides: Mapping[str, object], *, live: b
         _place(placed, key, _absolute(value, Path.cwd(), key))
     if live and "device" not in table and full.keys() & {"seed", *(key for key in full if key.startswith("device."))}:
         placed.setdefault("device", {}).setdefault("kind", REPLACED)
-    if own is None:
+    if already_idle is None:
         return _validated(placed)
 
     def is_theirs(key: str) -> bool:
         return any(key == asked or key.startswith(f"{asked}.") or asked.startswith(f"{key}.") for asked in full)
 
-    return _validated(_without_idle(placed, keep=lambda key: key in own or is_theirs(key)))
+    return _validated(_without_idle(placed, keep=lambda key: key in already_idle or is_theirs(key)))
 
 
 def _without_idle(table: dict[str, Any], keep: Callable[[str], bool] = lambda key: False) -> dict[str, Any]:

@@ -17,7 +17,8 @@ from scipy.signal import lfilter
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.builders.registry import builder_of, motion_of
+from tissue.builders.motions import motion_of
+from tissue.builders.registry import builder_of
 from tissue.haptics.loop.vibration import Vibration
 from tissue.materials.cutting import CuttingCoefficients
 from tissue.models.bone.density_nodes import DensityNodes

@@ -19,9 +19,9 @@ from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
 from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.regions import faces_of
+from tissue.builders.motions import motion_of
 from tissue.builders.organ import elasticity_of
 from tissue.builders.organ_law import coarser_mesh
-from tissue.builders.registry import motion_of
 from tissue.evaluation.charts.error_bounds import bound_row
 from tissue.evaluation.charts.keys import machine, scene_text, sources
 from tissue.evaluation.charts.measure import Measured

@@ -12,7 +12,8 @@ from tissue.builders.force_met import chosen_scale
 from tissue.builders.hand import hand_motion
 from tissue.builders.loop import judged_loop
 from tissue.builders.loop_settings import loop_settings
-from tissue.builders.registry import build, motion_of
+from tissue.builders.motions import motion_of
+from tissue.builders.registry import build
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.builders.motions import motion_of
 from tissue.builders.parts import Parts
-from tissue.builders.registry import motion_of
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
