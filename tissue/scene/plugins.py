@@ -4,8 +4,6 @@ import warnings
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
-from meshes.base.errors import InputError
-
 __all__ = ["OFFERED", "PluginWarning", "ask_packages", "offered_names", "refusal"]
 
 OFFERED = {
@@ -40,37 +38,13 @@ def ask_packages(group: str) -> None:
             _refuse(offer, f"the package {_package(other)} offers one by that name, too, which is used")
             continue
         try:
-            _take(OFFERED[group], offer)
+            from tissue import register
+
+            register.offered(OFFERED[group], offer.name, offer.load)
         except (Exception, SystemExit) as error:
             reason = (str(error).splitlines() or [""])[0]
             cause = reason if type(error).__name__ == "InputError" else f"{type(error).__name__}: {reason}"
             _refused[group, offer.name] = _refuse(offer, cause)
-
-
-def _take(kind: str, offer: EntryPoint) -> None:
-    """Register a part that an entry point names, unless importing it does, as a decorator would.
-
-    A name that a call has registered stays with that.
-
-    Raises
-    ------
-    InputError
-        If the name is built in, or the part cannot be registered.
-    """
-    from tissue import register
-    from tissue.scene.registry import TABLES
-
-    tables, name = TABLES[kind], offer.name
-    if any(name in table.built_in for table in tables):
-        raise InputError(f"{name} is the name of a built-in {kind}")
-    part = offer.load()
-    if kind in ("material", "scene"):
-        getattr(register, kind)(part)
-        return
-    if not any(name in table.known for table in tables):
-        getattr(register, kind)(name, part)
-    if not any(name in table.known for table in tables):
-        raise InputError(f"it registers nothing by that name: decorate it by @tissue.register.{kind}")
 
 
 def refusal(group: str, name: str) -> str | None:

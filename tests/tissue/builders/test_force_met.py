@@ -18,7 +18,7 @@ LIBRARY = {
 def test_a_script_s_force_fits_its_device(name, device):
     """At most half of what is played without compression; over friction where that allows it; 1 where 1 fits."""
     scene, limits = load_scene(name, {"device": device}), device_parameters(device)
-    scale, why = scene.chosen_scale
+    scale, why = chosen_scale(scene)
     force = LIBRARY[name](scene)
     assert scale * force <= MOST * limits.force_limit_N * (1.0 + 1e-9)
     assert scale == 1.0 or scale * force >= 0.9 * min(LEAST * limits.friction_N, MOST * limits.force_limit_N)

@@ -314,7 +314,7 @@ def test_what_cannot_be_used_is_refused(trained, tmp_path):
         InputError, match=r"coupling.predictor_file must be given for a scene other than caries, .*wall"
     ):
         maker_of("koopman", scene_name="mine", file="", **options)()
-    with pytest.raises(InputError, match="prediction must be left out without a device, got koopman"):
+    with pytest.raises(InputError, match="device must be given for prediction = koopman"):
         load_scene("palpation", {"prediction": "koopman"})
     still = [replace(spring_run(1), force_N=np.zeros((1200, 3)))]
     with pytest.raises(InputError, match="trials must leave at least 3 to learn from, got 1"):
