@@ -137,6 +137,9 @@ def _replaced(table: dict[str, Any], overrides: Mapping[str, object], *, live: b
         _place(placed, key, _absolute(value, Path.cwd(), key))
     if live and "device" not in table and full.keys() & {"seed", *(key for key in full if key.startswith("device."))}:
         placed.setdefault("device", {}).setdefault("kind", REPLACED)
+    asked_of_device = placed.get("device") or {"kind": ""}
+    if "kind" not in asked_of_device and all(value == "none" for value in asked_of_device.values()):
+        del placed["device"]  # no prediction and no perception ask for no device
     if already_idle is None:
         return _validated(placed)
 

@@ -75,7 +75,11 @@ class Needs:
         if self.value is not None:
             met = given == self.value
             return None if met else Idle(f"with {self.key} = {given}", f"set {self.key} = {self.value}")
-        return None if is_set else Idle(f"without {self.key}", f"set {self.key}")
+        if is_set:
+            return None
+        if isinstance(given, str) and given:
+            return Idle(f"with {self.key} = {given}", f"set another {self.key}")
+        return Idle(f"without {self.key}", f"set {self.key}")
 
 
 class Part(BaseModel):
