@@ -113,8 +113,9 @@ def test_wheel_and_keys_move_it_along_the_axis_and_in_the_view_within_the_box(po
 def test_a_wall_is_a_face_under_all_of_the_path():
     pytest.importorskip("pyvista")
     scene = load_scene("wall")
-    roaming = scene.held.coupling.model_copy(update={"roam_mm": 40.0})  # as a live run gives the mouse
-    for each, beyond in ((scene, 15.0), (scene.model_copy(update={"coupling": roaming}), 40.0)):
+    coupling = scene.held.coupling.model_copy(update={"roam_mm": 40.0})
+    roaming = scene.held.model_copy(update={"coupling": coupling})  # as a live run gives the mouse
+    for each, beyond in ((scene, 15.0), (scene.model_copy(update={"device": roaming}), 40.0)):
         (face,) = faces_of(each).values()
         expected = (-beyond, 50.0 + beyond, -beyond, beyond, 0.0, 0.0)
         assert tuple(face.bounds) == pytest.approx(expected, abs=1e-3)
