@@ -8,9 +8,8 @@ import numpy as np
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.voxels.volume import VoxelVolume
-from tissue.builders.motions import motion_of
+from tissue.builders.motions import motion_of, recorded_file
 from tissue.builders.parts import Parts
-from tissue.builders.recorded import recorded_file
 from tissue.builders.start_pose import w_first_notice
 from tissue.builders.voxels import reach, require_outside, require_touch, structures, volume_of, whole_tooth
 from tissue.cutters import profile

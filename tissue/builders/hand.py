@@ -12,7 +12,7 @@ from tissue.builders.device_motion import device_motion
 from tissue.builders.force_met import chosen_scale
 from tissue.builders.loop import person_of
 from tissue.builders.loop_settings import loop_settings
-from tissue.builders.recorded import plays_record
+from tissue.builders.motions import plays_record
 from tissue.haptics.device.device import DeviceParameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, HandParameters

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from meshes.base.errors import names_of_caller
-from tissue.builders.recorded import plays_record
+from meshes.base.errors import is_file, names_of_caller
 from tissue.motion.motion import FollowPath, Motion
 from tissue.motion.replay import ReplayPoses, read_replay
 from tissue.motion.thrust import PushAlongAxis
@@ -15,7 +14,25 @@ from tissue.scene.registry import MOTIONS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion
 
-__all__ = ["motion_of", "path", "replay", "thrust"]
+__all__ = ["motion_of", "path", "plays_record", "recorded_file", "replay", "thrust"]
+
+RECORDED = "recorded"
+"""Device whose motion is known from its file."""
+
+
+def plays_record(scene: Scene) -> bool:
+    """Return whether a device plays recorded poses from a file that exists.
+
+    A saved run can be viewed without the file; its scene then has the motion of the scene.
+    """
+    return scene.device is not None and scene.device.kind == RECORDED and is_file(Path(scene.held.hardware.address))
+
+
+def recorded_file(scene: Scene) -> str:
+    """Return the file of the poses that move the tool, by a replay or a recorded device; empty for other motions."""
+    if plays_record(scene):
+        return scene.held.hardware.address
+    return scene.motion.file if isinstance(scene.motion, ReplayMotion) else ""
 
 
 def motion_of(scene: Scene, *, step_s: float) -> Motion:
