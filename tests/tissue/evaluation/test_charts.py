@@ -231,7 +231,7 @@ def test_a_scene_that_cuts_is_charted_by_script_alone(name):
     scene = load_scene(name)
     cuts = getattr(scene.tool, "spin_rpm", 0.0) != 0.0
     devices = [each.device and each.device.kind for each in charted(scene)]
-    assert devices == (["none"] if cuts else ["touch"] if name == "wall" else ["none", "touch"])
+    assert devices == ([None] if cuts else ["touch"] if name == "wall" else [None, "touch"])
     assert [each.device and each.device.kind for each in charted(changed(scene, {"device": "touch"}))] == ([None] if cuts else ["touch"])
 
 
