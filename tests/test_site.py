@@ -30,32 +30,36 @@ tables, links, page_code = (
 )
 
 
+def keys_of(defs, name, entry):
+    """Table, kind and name of every key under an entry of the schema, those of inner tables with dotted names."""
+    links = [each["$ref"] for each in (entry, *entry.get("anyOf", ()), *entry.get("oneOf", ())) if "$ref" in each]
+    for model in (defs[link.rpartition("/")[2]] for link in links):
+        kind = model["properties"].get("kind", {})
+        kinds = kind.get("enum") or [kind["const"]] if len(links) > 1 else [""]
+        for key, inner in model["properties"].items():
+            below = list(keys_of(defs, f"{name}.{key}", inner))
+            yield from below or [(name, each, key) for each in kinds if key != "kind" or each == ""]
+
+
 def test_the_tables_hold_every_key_of_the_schema_once_for_each_kind():
     schema = json.loads(schema_text())
-    rows = {(part.name, kind, key.name) for part in tables.parts() for group in part.groups
-            for kind in group.kinds or ("",) for key in group.keys}  # fmt: skip
+    rows = [(part.name, kind, key.name) for part in tables.parts() for group in part.groups
+            for kind in group.kinds or ("",) for key in group.keys]  # fmt: skip
     wanted = set()
     for name, entry in schema["properties"].items():
-        models = [each["$ref"] for each in (entry, *entry.get("anyOf", ())) if "$ref" in each]
-        by_kind = entry.get("discriminator", {}).get("mapping") or dict.fromkeys(("",) if models else (), *models)
-        wanted |= set() if by_kind else {("", "", name)}
-        for kind, where in by_kind.items():
-            keys = set(schema["$defs"][where.rpartition("/")[2]]["properties"]) - ({"kind"} if kind else set())
-            wanted |= {(name, kind, key) for key in keys}
-    assert rows == wanted and len(rows) > 150
+        optional = {"anyOf": [each for each in entry.get("anyOf", ()) if each.get("type") != "null"]}
+        wanted |= set(keys_of(schema["$defs"], name, entry | optional)) or {("", "", name)}
+    assert set(rows) == wanted and len(rows) > 150
 
 
-def test_a_row_states_unit_range_default_and_who_reads_it():
+def test_a_row_states_unit_range_and_default():
     rows = {f"{part.name}.{key.name}": key for part in tables.parts() for group in part.groups for key in group.keys}
-    spacing, flutes, angle = rows["voxels.spacing_mm"], rows["tool.flutes"], rows["tool.point_angle_deg"]
+    spacing, flutes = rows["voxels.spacing_mm"], rows["tool.flutes"]
     assert spacing[1:4] == ("mm", "(0, 2]", "`0.1`") and spacing.text == "Edge of a voxel."
-    assert flutes[1:4] == ("", "[1, 200] whole", "`4`") and flutes.only == ()
-    assert angle.unit == "°" and angle.only == ("twist-drill",)
-    assert (
-        rows["motion.feed_mm_s"].default == "required"
-        and rows["coupling.force_scale"].takes == "[0.0001, 100] or `auto`"
-    )
-    assert rows[".perception"].takes == "`none`, `population`, `observer:FILE`"
+    assert flutes[1:4] == ("", "[1, 200] whole", "`4`") and rows["tool.point_angle_deg"].unit == "°"
+    assert rows["motion.feed_mm_s"].default == "required"
+    assert rows["device.coupling.force_scale"].takes == "[0.0001, 100] or `auto`"
+    assert rows["device.perception"].takes == "`none`, `population`, `observer:FILE`"
     assert rows["anatomy.size_mm"].takes == "3 numbers, each [0.1, 500]" and rows[".heat"].default == "`false`"
 
 

@@ -72,8 +72,7 @@ def _table(part: Part, group: Group, seen: set[str]) -> nodes.table:
 
 def _row(part: Part, key: Key, seen: set[str]) -> nodes.row:
     """A row; the first of its name carries the anchor."""
-    only = f" Read by {', '.join(f'`{kind}`' for kind in key.only)} alone." if key.only else ""
-    cells = (f"`{key.name}`", key.unit, key.takes, key.default, key.text + only)
+    cells = (f"`{key.name}`", key.unit, key.takes, key.default, key.text)
     row = nodes.row("", *(nodes.entry("", nodes.paragraph("", "", *inline(cell))) for cell in cells))
     anchor = _anchor(part, key)
     if anchor not in seen:

@@ -5,7 +5,6 @@ import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from tissue.scene.registry import CUTTERS, PROBES
 from tissue.scene.schema import schema_text
 
 __all__ = ["Group", "Key", "Part", "parts", "unit_of"]
@@ -26,8 +25,6 @@ class Key(NamedTuple):
     takes: str
     default: str
     text: str
-    only: tuple[str, ...] = ()
-    """Of the kinds of its group those that read it, where not all do."""
 
 
 class Group(NamedTuple):
@@ -56,12 +53,21 @@ def parts() -> Iterator[Part]:
     top = tuple(_key(name, entry, required=name in required) for name, entry in plain.items())
     yield Part("", schema["description"], (), (Group((), "", top),))
     for name, entry in tables.items():
-        models = _models(schema, entry)
-        text = entry.get("description") or models[0]["description"]
-        left_out = " A scene without this table has none." if entry.get("default", {}) is None else ""
-        by_model = [_kinds(schema, entry, model["title"]) for model in models]
-        kinds = tuple(kind for each in by_model for kind in each)
-        yield Part(name, text + left_out, kinds, tuple(_groups(name, models, by_model)))
+        yield from _part(schema, name, entry)
+
+
+def _part(schema: Schema, name: str, entry: Schema) -> Iterator[Part]:
+    """A table, and those inside of it."""
+    models = _models(schema, entry)
+    text = entry.get("description") or models[0]["description"]
+    left_out = " A scene without this table has none." if entry.get("default", {}) is None else ""
+    by_model = [_kinds(model) if len(models) > 1 else () for model in models]
+    kinds = tuple(dict.fromkeys(kind for each in by_model for kind in each))
+    yield Part(name, text + left_out, kinds, tuple(_groups(schema, models, by_model)))
+    for model in models:
+        for inner, each in model["properties"].items():
+            if _models(schema, each):
+                yield from _part(schema, f"{name}.{inner}", each)
 
 
 def unit_of(name: str) -> str:
@@ -81,36 +87,31 @@ def _models(schema: Schema, entry: Schema) -> list[Schema]:
     return [schema["$defs"][each["$ref"].rpartition("/")[2]] for each in choices if "$ref" in each]
 
 
-def _kinds(schema: Schema, entry: Schema, title: str) -> tuple[str, ...]:
-    """Kinds that a table of this title describes."""
-    mapping = entry.get("discriminator", {}).get("mapping", {})
-    return tuple(kind for kind, where in mapping.items() if schema["$defs"][where.rpartition("/")[2]]["title"] == title)
+def _kinds(model: Schema) -> tuple[str, ...]:
+    """Kinds that a table describes."""
+    kind = model["properties"].get("kind", {})
+    return tuple(kind.get("enum") or [kind["const"]]) if "enum" in kind or "const" in kind else ()
 
 
-def _groups(part: str, models: list[Schema], kinds: list[tuple[str, ...]]) -> Iterator[Group]:
-    """Keys by the tables that have them; what several share comes first, where the first of them would stand."""
-    found: dict[Key, list[int]] = {}
+def _groups(schema: Schema, models: list[Schema], kinds: list[tuple[str, ...]]) -> Iterator[Group]:
+    """Keys by the tables that have them; what several share comes first, where the first of them would stand.
+
+    A kind has a table for each source of its shape, procedural or a file: its keys are those of all of them.
+    """
+    found: dict[Key, dict[tuple[str, ...], None]] = {}
+    texts: dict[tuple[str, ...], str] = {}
     for number, model in enumerate(models):
+        texts.setdefault(kinds[number], model.get("description", ""))
         for name, entry in model["properties"].items():
-            if name != "kind" or not kinds[number]:
-                found.setdefault(_key(name, entry, required=name in model.get("required", ())), []).append(number)
-    for numbers in dict.fromkeys(map(tuple, found.values())):
-        every = tuple(kind for number in numbers for kind in kinds[number])
-        text = models[numbers[0]].get("description", "") if len(numbers) == 1 and every else ""
-        keys = (
-            key._replace(only=_reading(part, key.name, every)) for key, its in found.items() if tuple(its) == numbers
-        )
-        yield Group(every, text, tuple(keys))
-
-
-def _reading(part: str, name: str, kinds: tuple[str, ...]) -> tuple[str, ...]:
-    """Of these kinds those that read a key, where not all do: a tool's length is for a drill, not for a ball."""
-    table = CUTTERS if set(kinds) <= set(CUTTERS) else PROBES
-    shaping = {key for kind in table for key in table[kind].keys}
-    if part != "tool" or name not in shaping or not set(kinds) <= set(table):
-        return ()
-    read = tuple(kind for kind in kinds if name in table[kind].keys)
-    return () if read == kinds else read
+            is_table = bool(_models(schema, entry))
+            if not is_table and (name != "kind" or not kinds[number]):
+                required = name in model.get("required", ()) and name != "file"
+                found.setdefault(_key(name, entry, required=required), {})[kinds[number]] = None
+    for of_kinds in dict.fromkeys(tuple(each) for each in found.values()):
+        every = tuple(kind for each in of_kinds for kind in each)
+        text = texts[of_kinds[0]] if len(of_kinds) == 1 and every else ""
+        keys = tuple(key for key, its in found.items() if tuple(its) == of_kinds)
+        yield Group(every, text, keys)
 
 
 def _key(name: str, entry: Schema, *, required: bool) -> Key:

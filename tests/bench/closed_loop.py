@@ -44,7 +44,7 @@ def by_hand(name: str, kind: str, hand: str, seed: int) -> Scene:
     """A scene in closed loop."""
     scene = load_scene(name)
     entries = {
-        "device": "touch" if scene.device == "none" else scene.device,
+        "device": "touch" if scene.device is None else scene.device.kind,
         "hand": hand,
         "seed": seed,
         "prediction": kind,

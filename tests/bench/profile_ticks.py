@@ -141,7 +141,7 @@ def added(names: Sequence[str]) -> None:
     for name in names:
         scene = load_scene(name)
         print(name, flush=True)
-        both = [changed(by_hand(scene), HANDED)] + [scene] * (scene.device == "none")
+        both = [changed(by_hand(scene), HANDED)] + [scene] * (scene.device is None)
         hand, script = [*least_us([excerpt(each, {}, quick=True) for each in both]), np.zeros((3, 1))][:2]
         shown = (script[1], hand[1], hand[2])
         cells = [f"{np.median(each):.0f}, {np.percentile(each, 99):.0f}" for each in shown]
@@ -165,7 +165,7 @@ def main() -> None:
     rows, deep = [], []
     for name in given.scenes or scene_names():
         scene = load_scene(name)
-        kinds = {"hand": by_hand(scene)} | ({"script": scene} if scene.device == "none" else {})
+        kinds = {"hand": by_hand(scene)} | ({"script": scene} if scene.device is None else {})
         for kind, whole in sorted(kinds.items(), reverse=True):
             short = excerpt(whole, {}, quick=True)
             at = stages(ran(short))

@@ -14,8 +14,7 @@ from meshes.organs.liver import Nodule, slab
 from meshes.tets.structured import box
 from tissue import InputError, load_scene, scene_names, scene_text, simulate
 from tissue.builders.organ import elasticity_of
-from tissue.scene.organ import LiverAnatomy, Organ, SlabAnatomy
-from tissue.scene.unused_keys import require_used
+from tissue.scene.organ import LiverFile, Organ, SlabAnatomy
 
 
 @pytest.fixture
@@ -32,7 +31,7 @@ def here(tmp_path, monkeypatch):
         (("run", "milling", "--allow-unstable"), "--allow-unstable must be left out without a device, got it: set device = touch, or remove it"),
         (("run", "milling", "--seed", "3"), "seed must be left out without a device, for nothing is drawn at random then, got 3: set device = touch, or remove it"),
         (("run", "milling", "--fidelity", "force_error=0.1", "--set", "voxels.removal=binary"), "voxels.removal must be left out with fidelity, which chooses it, got binary: leave fidelity out, or remove it"),
-        (("run", "wall", "--fidelity", "force_error=0.1", "--set", "prediction=hold"), "prediction must be left out with fidelity, which chooses it, got hold: leave fidelity out, or remove it"),
+        (("run", "wall", "--fidelity", "force_error=0.1", "--set", "prediction=hold"), "device.prediction must be left out with fidelity, which chooses it, got hold: leave fidelity out, or remove it"),
         (("run", "liver-press", "--fidelity", "force_error=0.1", "--set", "organ.order=1"), "organ.order must be left out with fidelity, which chooses it, got 1: leave fidelity out, or remove it"),
         (("run", "wall", "--slicer"), "--slicer must be left out without --live, got it: give --live, or open the files of a run that has ended"),
         (("run", "wall", "--live", "--slicer-port", "5"), "--slicer-port must be left out without --slicer, got 5: give --live --slicer, or remove it"),
@@ -73,7 +72,7 @@ def test_a_cache_that_cannot_be_written_is_named_as_the_cache(refused, here, mon
 @pytest.mark.parametrize("name", scene_names())
 def test_a_built_in_scene_holds_no_key_without_effect_and_lasts_as_long_as_its_motion(name, tmp_path):
     scene = load_scene(name)
-    require_used(scene)
+
     if scene.duration_s is not None and scene.motion.kind == "path":
         points = scene.motion.points_mm
         length = sum(sum((a - b) ** 2 for a, b in zip(p, q, strict=True)) ** 0.5 for p, q in pairwise(points))
@@ -81,14 +80,12 @@ def test_a_built_in_scene_holds_no_key_without_effect_and_lasts_as_long_as_its_m
 
 
 def test_what_an_override_makes_idle_is_left_out_and_what_a_file_holds_idle_is_refused(tmp_path):
-    assert load_scene("wall", {"device": "none"}).hand == "expert"
-    text = scene_text("wall").replace('device = "touch"', 'device = "none"')
-    (tmp_path / "mine.toml").write_text(text.replace("[motion]", "[coupling]\nforce_scale = 1.0\n\n[motion]"))
-    with pytest.raises(
-        InputError, match=r"coupling\.force_scale and hand and renderer must be left out without a device"
-    ):
+    assert load_scene("wall", {"device": "none"}).device is None
+    text = scene_text("wall").replace('kind = "touch" ', "# ")
+    (tmp_path / "mine.toml").write_text(text.replace("[motion]", "[device.coupling]\nforce_scale = 1.0\n\n[motion]"))
+    with pytest.raises(InputError, match=r"device must be given for .*coupling\.force_scale = 1"):
         load_scene(tmp_path / "mine.toml")
-    assert load_scene(tmp_path / "mine.toml", {"device": "omni"}).renderer == "proxy"
+    assert load_scene(tmp_path / "mine.toml", {"device": "omni"}).held.renderer == "proxy"
     with pytest.raises(InputError, match="force_scale"):
         load_scene(tmp_path / "mine.toml", {"duration_s": 1.0})
 
@@ -138,7 +135,7 @@ def test_parts_of_a_file_have_moduli_by_name_or_number():
     whole = box((0.02, 0.02, 0.02), (2, 2, 2))
     part = (np.arange(len(whole.cells)) % 3).astype(whole.part.dtype)
     names = ("part 1", "tumour", "nodule")
-    mesh, liver = replace(whole, part=part, part_names=names), LiverAnatomy(file="organ.vtu")
+    mesh, liver = replace(whole, part=part, part_names=names), LiverFile(file="organ.vtu")
     plain, message = elasticity_of(mesh, liver, Organ())
     assert np.ptp(plain, axis=0).max() == 0.0 and "nodule" not in message  # in a file it is a name as any other
     for named, number in (("tumour", 1), ("part 1", 0), ("1", 0)):

@@ -14,11 +14,11 @@ from meshes.shapes.anatomy import cortical_block
 from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.api.bone_materials import BoneOptions, cut_as, require_known
 from tissue.api.bone_source import BoneSource, anatomy_source, image_source, surface_source
+from tissue.api.bone_surface import Removed
 from tissue.api.cut import Cut
 from tissue.api.cutting import TimedPoses, cut_along, require_cutter
 from tissue.api.kept_clear import Structures, clearance_of
 from tissue.api.poses import poses_of, times_of
-from tissue.api.removed import Removed
 from tissue.builders.bone import VoxelBone, element_spacing_m
 from tissue.cutters.cutter import Cutter
 

@@ -12,7 +12,7 @@ from meshes.base.errors import InputError, require_range
 from meshes.shapes.anatomy import Anatomy
 from meshes.voxels.volume import VoxelVolume
 from tissue.models.bone.bricks_on_demand import BricksOnDemand
-from tissue.scene.anatomy import SURFACE_SUFFIXES
+from tissue.scene.choices import SURFACE_SUFFIXES
 
 if TYPE_CHECKING:
     import pyvista

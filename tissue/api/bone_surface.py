@@ -15,7 +15,7 @@ from tissue.simulation.bone_surface import smooth_normals, with_layers
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["bone_surface", "plot_surface", "removed_surface"]
+__all__ = ["Removed", "bone_surface", "plot_surface", "removed_surface"]
 
 MERGED, SEAM = 1e-3, 3.0
 """Points of two parts that are one, and loops that belong together, by their distance in voxels."""
@@ -196,3 +196,33 @@ def _without(outer: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyDat
     high = low + 1e3 * volume.spacing_m * (np.array(volume.shape) - 1)
     bounds = np.column_stack([low, high]).ravel().tolist()
     return outer.clip_box(bounds, invert=True).extract_surface(algorithm="dataset_surface")
+
+
+class Removed:
+    """What tools have taken away from a bone, as it is when it is asked."""
+
+    def __init__(self, bone: VoxelBone) -> None:
+        self._bone = bone
+
+    @property
+    def by_layer_mm3(self) -> dict[str, float]:
+        """Volume taken from each layer [mm3]."""
+        volumes = 1e9 * self._bone.removed_m3
+        return dict(zip(self._bone.store.grid.layer_names, volumes.tolist(), strict=True))
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume taken from all layers [mm3]."""
+        return sum(self.by_layer_mm3.values())
+
+    def surface(self) -> "pyvista.PolyData":
+        """Surface of what was taken away [mm], with the cell array ``layer``; empty before the first cut."""
+        return removed_surface(self._bone)
+
+    def plot(self, **options: Any) -> Any:
+        """Show what was taken away, by layer; `options` are those of ``pyvista.PolyData.plot``."""
+        return plot_surface(self.surface(), self._bone.store.grid.layer_names, **options)
+
+    def __repr__(self) -> str:
+        parts = ", ".join(f"{volume:.4g} mm3 of {name}" for name, volume in self.by_layer_mm3.items())
+        return f"Removed({parts})"

@@ -16,8 +16,15 @@ from tissue.api.bone import Bone
 from tissue.api.cut import saved_table
 from tissue.api.cutting import warn_of
 from tissue.api.kept_clear import Structures, clearance_of, refuse_structures
-from tissue.api.loop_materials import device_note
-from tissue.api.loop_parts import bone_met, organ_met, require_device, require_match, settings_of, start_above
+from tissue.api.loop_parts import (
+    bone_met,
+    device_note,
+    organ_met,
+    require_device,
+    require_match,
+    settings_of,
+    start_above,
+)
 from tissue.api.organ import Organ
 from tissue.api.simulate import TickRow
 from tissue.api.tools import PressingTool, ball
@@ -144,11 +151,11 @@ class Loop:
         start = start_above(tissue, along) if start_mm is None else np.asarray(start_mm, dtype=np.float64)
         start_m = 1e-3 * require_vector("start_mm", start)
         reach_m = 1e-3 * require_range("reach_mm", reach_mm, 0.5, 100.0, "use 5")
-        settings = settings_of(
-            device,
-            limits,
+        constants = Materials.of(materials)
+        options = loop_parts.LoopOptions(
+            limits=limits,
             hand=hand,
-            materials=Materials.of(materials),
+            materials=constants,
             renderer=renderer,
             contact="cuts" if isinstance(tool, Cutter) else "presses",
             low_pass_ms=require_range("low_pass_ms", low_pass_ms, 0.0, 1000.0, "use 1"),
@@ -156,6 +163,7 @@ class Loop:
             predictor_file=predictor_file,
             coupling={"stiffness_N_m": stiffness_N_m, "motion_scale": motion_scale, "delay_ms": delay_ms},
         )
+        settings = settings_of(device, options)
         scale, chosen_for = 1.0, ""
         if force_scale is not None:
             scale = require_positive("force_scale", force_scale, "use 1")
@@ -186,7 +194,7 @@ class Loop:
                 model, self._keep_ready = organ_met(tissue, tool, start_m, along, reach_m=reach_m)
                 refuse_structures(keep_clear)
                 clear = None
-        self.notes = dict(tissue.notes) | device_note(Materials.of(materials), tissue, limits=limits, hand=hand)
+        self.notes = dict(tissue.notes) | device_note(constants, tissue, limits=limits, hand=hand)
         self.notes["coupling"] = "; ".join(found)
         cutter = tool if isinstance(tool, Cutter) else None
         self._motion, self._most, self._closing, self._warned = motion, ticks, ExitStack(), 0

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,9 @@ from tissue.api.organ import Organ
 from tissue.api.tools import PressingTool
 from tissue.builders.bone import VoxelBone, tool_boxes
 from tissue.builders.device import require_stated_rate
-from tissue.builders.loop_settings import Contact, LoopSettings, sampled
-from tissue.builders.prediction import predictor as predictor_by_name
+from tissue.builders.loop_settings import Contact, LoopSettings, no_predictor, sampled
+from tissue.builders.own_constants import given_note
+from tissue.builders.prediction import maker_of
 from tissue.cutters import Cutter
 from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
 from tissue.haptics.hand.hand import hand_parameters
@@ -31,10 +32,13 @@ from tissue.scene.coupling import Coupling
 from tissue.scene.messages import sentence
 from tissue.scene.named_parts import unknown_name
 from tissue.scene.registry import RENDERERS
+from tissue.scene.used_constants import used_of_device
 
 __all__ = [
     "KeepsReady",
+    "LoopOptions",
     "bone_met",
+    "device_note",
     "organ_met",
     "own_names",
     "require_device",
@@ -159,21 +163,25 @@ def require_match(tissue: object, tool: object) -> None:
         raise InputError(f"tool must press an organ, got {type(tool).__name__}: make one by tissue.ball")
 
 
-def settings_of(
-    device: Device,
-    limits: str | DeviceParameters | Mapping[str, float],
-    *,
-    hand: str,
-    materials: Materials,
-    renderer: str,
-    contact: Contact,
-    low_pass_ms: float,
-    predictor: str | Observes | None,
-    predictor_file: str | Path | None,
-    coupling: dict[str, float | None],
-) -> LoopSettings:
-    """What lies between a device and a tool, from a caller's arguments."""
-    numbers = device_parameters(limits, materials) if isinstance(limits, str) else limits
+@dataclass(frozen=True)
+class LoopOptions:
+    """Arguments of a loop that lie between its device and its tool; see `tissue.api.loop.Loop`."""
+
+    limits: str | DeviceParameters | Mapping[str, float]
+    hand: str
+    materials: Materials
+    renderer: str
+    contact: Contact
+    low_pass_ms: float
+    predictor: str | Observes | None
+    predictor_file: str | Path | None
+    coupling: Mapping[str, float | None]
+
+
+def settings_of(device: Device, options: LoopOptions) -> LoopSettings:
+    """Return what lies between a device and a tool, from a caller's arguments."""
+    limits, predictor = options.limits, options.predictor
+    numbers = device_parameters(limits, options.materials) if isinstance(limits, str) else limits
     if isinstance(numbers, Mapping):
         known = [each.name for each in fields(DeviceParameters)]
         if unknown := [name for name in numbers if name not in known]:
@@ -192,38 +200,48 @@ def settings_of(
     if isinstance(predictor, type):
         name = predictor.__name__
         raise InputError(f"predictor must be an object, got the class {name}: give {name}()")
-    if predictor_file is not None and not isinstance(predictor, str):
+    if options.predictor_file is not None and not isinstance(predictor, str):
         raise InputError(f"predictor_file must come with a predictor's name, got {predictor!r}: name one, or drop it")
-    RENDERERS[renderer]  # refused here, by the argument's own name
+    RENDERERS[options.renderer]  # refused here, by the argument's own name
 
-    def made() -> Predictor | None:
-        """A new predictor, for the loop or to be probed."""
-        limit_N = numbers.force_limit_N
-        if predictor is None:
-            return None
-        if isinstance(predictor, str):
-            file = str(predictor_file or "")
-            return predictor_by_name(predictor, scene_name="", file=file, force_limit_N=limit_N)
-        return GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))(None, limit_N)
+    limit_N = numbers.force_limit_N
+    made: Callable[[], Predictor | None] = no_predictor
+    if isinstance(predictor, str):
+        made = maker_of(predictor, scene_name="", file=str(options.predictor_file or ""), force_limit_N=limit_N)
+    elif predictor is not None:
+        guarded = GuardedMaker(type(predictor).__name__, lambda: deepcopy(predictor))
+        made = lambda: guarded(None, limit_N)  # noqa: E731
 
-    given = {name: value for name, value in coupling.items() if value is not None}
+    given = {name: value for name, value in options.coupling.items() if value is not None}
     try:
         chosen = Coupling.model_validate(given)
     except ValidationError as error:
-        fault = error.errors()[0]
-        fault["loc"] = ("coupling", *fault["loc"])
-        raise InputError(sentence(fault, {"coupling": given}).removeprefix("coupling.")) from None
+        raise InputError(sentence(error.errors()[0], given, Coupling)) from None
     return LoopSettings(
         type(device).__name__,
         numbers,
-        hand,
-        hand_parameters(hand, materials),
+        options.hand,
+        hand_parameters(options.hand, options.materials),
         chosen,
-        renderer,
-        low_pass_ms,
-        contact,
+        options.renderer,
+        options.low_pass_ms,
+        options.contact,
         predictor=made,
     )
+
+
+def device_note(given: Materials, tissue: Bone | Organ, *, limits: object, hand: str) -> dict[str, str]:
+    """Note which constants of a device that is named and of the hand come from a file.
+
+    Raises
+    ------
+    InputError
+        If none of the file is one of these.
+    """
+    layers = tissue.layer_names if isinstance(tissue, Bone) else ()
+    used = used_of_device(given, limits if isinstance(limits, str) else None, hand)
+    found = given_note(given, used, layers=layers, by="loop")
+    return {f"{name} of device and hand": note for name, note in found.items()}
 
 
 @contextmanager

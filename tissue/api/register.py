@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from meshes.base.errors import InputError
 from tissue.api import registering as check
 from tissue.scene.registry import (
     ANATOMIES,
@@ -17,6 +18,7 @@ from tissue.scene.registry import (
     PROBES,
     RENDERERS,
     SCENES,
+    TABLES,
     AnatomyEntry,
     CutterEntry,
     DeviceEntry,
@@ -223,6 +225,29 @@ class register:
         """
 
         return _added("perception", name, make, PERCEPTIONS, methods=("step", "pause"))
+
+    @staticmethod
+    def offered(kind: str, name: str, load: Callable[[], Any]) -> None:
+        """Register what an entry point of an installed package names, unless importing it does, as a decorator would.
+
+        A name that a call has registered stays with that.
+
+        Raises
+        ------
+        InputError
+            If the name is built in, or the part cannot be registered.
+        """
+        tables = TABLES[kind]
+        if any(name in table.built_in for table in tables):
+            raise InputError(f"{name} is the name of a built-in {kind}")
+        part = load()
+        if kind in ("material", "scene"):
+            getattr(register, kind)(part)
+            return
+        if not any(name in table.known for table in tables):
+            getattr(register, kind)(name, part)
+        if not any(name in table.known for table in tables):
+            raise InputError(f"it registers nothing by that name: decorate it by @tissue.register.{kind}")
 
     @staticmethod
     def material(file: str | Path) -> tuple[str, ...]:

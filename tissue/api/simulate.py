@@ -12,7 +12,6 @@ from tissue.figures.pictures import draw_pictures
 from tissue.haptics.device.device import Device
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.scene.scene import Scene
-from tissue.scene.unused_keys import require_used
 from tissue.simulation import simulate as engine
 from tissue.simulation.live.clock import Paced, Prioritised
 from tissue.simulation.live.run import LiveSettings
@@ -91,14 +90,12 @@ def simulate(
         if scene.fidelity is not None:
             from tissue.evaluation.charts.fidelity import with_fidelity
 
-            if live is None:
-                require_used(scene)
             scene, notes["fidelity"] = with_fidelity(scene, report=report)
         if live is not None:
             run = simulate_live(scene, live, **settings)
         else:
             if device is None and (device := opened_device(scene)) is not None:
-                notes["device"] = f"{scene.device} is read and played by {type(device).__name__}"
+                notes["device"] = f"{scene.held.kind} is read and played by {type(device).__name__}"
             if getattr(device.device if isinstance(device, SafeDevice) else device, "real_time", False):
                 prioritised = Prioritised()
                 observer = Observers(prioritised, observer or RunObserver(), Paced())

@@ -23,9 +23,8 @@ from tissue.api.progress import Bar, reporting
 from tissue.api.simulate import simulate
 from tissue.api.sweep_table import Sweep, SweptRun
 from tissue.scene.load import changed, load_scene, parse_override
-from tissue.scene.registered import registered_parts, unknown_parts
 from tissue.scene.scene import Scene
-from tissue.scene.unused_keys import require_used
+from tissue.scene.texts import registered_parts, unknown_parts
 from tissue.simulation.run_summary import summary_of
 from tissue.system.owned_folder import owned_folder
 from tissue.system.workers import first_done, worker_pool
@@ -129,8 +128,7 @@ def planned(scene: Scene | str | Path, changes: Mapping[str, Iterable[object]], 
         name = ",".join(word for word, _ in combination) or base.name
         values = dict(zip(swept, (value for _, value in combination), strict=True))
         try:
-            made = changed(base, fixed | values).with_files_at(Path.cwd())
-            require_used(made)
+            made = changed(base, fixed | values)
             found[name] = SweptRun(name, values, out / name, scene=made)
         except InputError as refused:
             found[name] = SweptRun(name, values, out / name, str(refused))

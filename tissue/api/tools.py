@@ -34,12 +34,11 @@ class PressingTool:
     @cached_property
     def shape(self) -> ProbeShape:
         """What the contact asks of it."""
-        from tissue.scene.named_parts import loaded
-        from tissue.scene.registry import PROBES
+        from tissue.builders.probe import probe_of
 
         keys = {f"tool.{key}": key for key in ("file", "scale_mm", "diameter_mm")}
         with names_of_caller(keys):
-            return loaded(PROBES[self.probe.kind].make)(self.probe)
+            return probe_of(self.probe)
 
     @property
     def surface(self) -> pyvista.PolyData:
@@ -86,18 +85,17 @@ def probe_from_file(file: str | Path, *, scale_mm: float = 1.0) -> PressingTool:
     InputError
         If the file is missing or holds no closed surface.
     """
-    from tissue.scene.tool import Probe
+    from tissue.scene.tool import probe_part
 
     scale = require_positive("scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
-    tool = PressingTool(
-        Probe(kind="shell-probe", file=str(file), scale_mm=scale), f"probe_from_file({str(file)!r}, scale_mm={scale:g})"
-    )
+    stated = probe_part(kind="shell-probe", file=str(file), scale_mm=scale)
+    tool = PressingTool(stated, f"probe_from_file({str(file)!r}, scale_mm={scale:g})")
     tool.shape  # noqa: B018 - what cannot be used is refused here
     return tool
 
 
 def _round(kind: str, name: str, diameter_mm: float) -> PressingTool:
-    from tissue.scene.tool import Probe
+    from tissue.scene.tool import probe_part
 
     diameter = require_range("diameter_mm", diameter_mm, *SIZES_MM, "a fingertip has about 16")
-    return PressingTool(Probe(kind=kind, diameter_mm=diameter), f"{name}(diameter_mm={diameter:g})")
+    return PressingTool(probe_part(kind=kind, diameter_mm=diameter), f"{name}(diameter_mm={diameter:g})")

@@ -15,8 +15,16 @@ from meshes.tooth import label_volume
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.voxels.volume import VoxelVolume
 from tissue.builders.parts import FILE_WORDS
-from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, BoneAnatomy, GlenoidAnatomy, MolarAnatomy
-from tissue.scene.scene import Scene
+from tissue.scene.anatomy import (
+    Block,
+    BlockImage,
+    Bone,
+    Glenoid,
+    ImageAnatomy,
+    MolarLabels,
+    Placed,
+    SurfaceAnatomy,
+)
 
 if TYPE_CHECKING:
     from meshes.surfaces.site import Site
@@ -28,7 +36,7 @@ Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest corner of a box [m]."""
 
 
-def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
+def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
     """The bone in a surface or image, placed at its site."""
     from meshes.images.reading import read_image
     from meshes.images.threshold_surface import image_cuts, image_triangles
@@ -36,9 +44,8 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
     from meshes.surfaces.surface import surface_from_triangles
     from meshes.surfaces.triangle_files import read_triangles
 
-    assert parameters.file is not None
     cuts: tuple[NDArray[np.float64], ...] = ()
-    if parameters.is_image:
+    if isinstance(parameters, ImageAnatomy):
         threshold, image = _threshold(parameters), read_image(parameters.file, spacing_mm=parameters.spacing_mm)
         triangles, source = image_triangles(image, threshold=threshold), image.source
         cuts = image_cuts(image, threshold=threshold)
@@ -49,20 +56,20 @@ def bone_from_file(parameters: AnatomyFile, notes: dict[str, str]) -> Anatomy:
     else:
         file = Path(parameters.file)
         triangles, source = read_triangles(file), file.name
-    scale_mm = 1.0 if parameters.is_image else parameters.scale_mm
+    scale_mm = parameters.scale_mm if isinstance(parameters, SurfaceAnatomy) else 1.0
     surface = surface_from_triangles(*triangles, source=source, scale_mm=scale_mm, cut_off=True)
     surface, site = replace(surface, caps_m=surface.caps_m + cuts), _site(parameters, surface)
-    if isinstance(parameters, BoneAnatomy) and (parameters.density_file or parameters.core_file):
+    if isinstance(parameters, Bone) and (parameters.density_file or parameters.core_file):
         return _filled(parameters, surface, site)
     return surface_anatomy(
         surface,
         site,
         cortical_thickness_mm=parameters.cortical_thickness_mm,
-        cortical_density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
+        cortical_density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, Block) else 1800.0,
     )
 
 
-def _filled(parameters: BoneAnatomy, surface: "Surface", site: "Site") -> Anatomy:
+def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
     """A bone whose inside is known: by the density of a CT, or by a surface around its core."""
     from meshes.ct.bone_inside import cored_anatomy, imaged_anatomy, stated_law
     from meshes.images.reading import read_image
@@ -85,19 +92,18 @@ def _filled(parameters: BoneAnatomy, surface: "Surface", site: "Site") -> Anatom
     return replace(anatomy, notes={**anatomy.notes, "density law": law}) if law else anatomy
 
 
-def whole_image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
+def whole_image(parameters: BlockImage, *, spacing_mm: float, notes: dict[str, str]) -> VoxelVolume:
     """Bone from an image volume as it is, the top of its block at z = 0."""
     from meshes.images.bone_image import image_volume
     from meshes.images.reading import read_image
 
-    parameters = scene.bone
     remarks: list[str] = []
     threshold = _threshold(parameters)
     volume = image_volume(
-        read_image(parameters.file or "", spacing_mm=parameters.spacing_mm),
+        read_image(parameters.file, spacing_mm=parameters.spacing_mm),
         threshold=threshold,
-        density_kg_m3=parameters.density_kg_m3 if isinstance(parameters, BlockAnatomy) else 1800.0,
-        resample_mm=scene.voxels.spacing_mm,
+        density_kg_m3=parameters.density_kg_m3,
+        resample_mm=spacing_mm,
         remark=remarks.append,
     )
     notes["image"] = " ".join(remarks) or f"{parameters.file}: {volume.shape} voxels"
@@ -105,7 +111,7 @@ def whole_image(scene: Scene, *, notes: dict[str, str]) -> VoxelVolume:
 
 
 def labelled_tooth(
-    scene: Scene,
+    parameters: MolarLabels,
     *,
     spacing_m: float,
     region: Corners | None = None,
@@ -114,11 +120,11 @@ def labelled_tooth(
 ) -> VoxelVolume:
     """A tooth from a label volume, or the part of it in a box of the site's frame [m]."""
     remarks: list[str] = []
-    file = Path(scene.bone.file or "")
+    file = Path(parameters.file)
     stamp = file.stat() if is_file(file) else None
     report("reading the label volume", 0.0)
-    over_lesion = isinstance(scene.bone, MolarAnatomy) and scene.bone.site == "caries"
-    tooth = _read_tooth(file, scene.bone.spacing_mm, over_lesion, stamp and (stamp.st_mtime_ns, stamp.st_size))
+    over_lesion = parameters.site == "caries"
+    tooth = _read_tooth(file, parameters.spacing_mm, over_lesion, stamp and (stamp.st_mtime_ns, stamp.st_size))
     volume = tooth.volume(
         resample_mm=1e3 * spacing_m,
         region_m=region,
@@ -137,12 +143,12 @@ def box_text(corners: Corners, *, between: bool = False) -> str:
     return f"between {low} and {high} mm" if between else f"{low} to {high} mm"
 
 
-def _site(parameters: AnatomyFile, surface: "Surface") -> "Site":
+def _site(parameters: Placed, surface: "Surface") -> "Site":
     """The site on a bone surface: where the scene puts it, else the glenoid that it searches for."""
     from meshes.surfaces.site import find_glenoid, place_site
 
     centre, normal, along = parameters.centre_mm, parameters.normal, parameters.along
-    if isinstance(parameters, GlenoidAnatomy) and normal is None:
+    if isinstance(parameters, Glenoid) and normal is None:
         return find_glenoid(surface, centre_mm=centre, along=along)
     if centre is None:
         box = surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)
@@ -153,12 +159,12 @@ def _site(parameters: AnatomyFile, surface: "Surface") -> "Site":
     return place_site(surface, centre_mm=centre, normal=normal, along=along)
 
 
-def _threshold(parameters: AnatomyFile) -> float:
+def _threshold(parameters: ImageAnatomy) -> float:
     """Grey value of an image above which a voxel is bone."""
     from meshes.images.reading import require_image_name
 
     if parameters.threshold is None:
-        require_image_name(Path(parameters.file or ""))
+        require_image_name(Path(parameters.file))
         raise InputError(
             f"anatomy.threshold must be given for an image, got nothing for {parameters.file}: "
             "set the grey value above which a voxel is bone"

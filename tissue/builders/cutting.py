@@ -8,22 +8,21 @@ import numpy as np
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.voxels.volume import VoxelVolume
+from tissue.builders.motions import motion_of, recorded_file
 from tissue.builders.parts import Parts
-from tissue.builders.recorded import recorded_file
-from tissue.builders.registry import motion_of
 from tissue.builders.start_pose import w_first_notice
 from tissue.builders.voxels import reach, require_outside, require_touch, structures, volume_of, whole_tooth
+from tissue.cutters import profile
 from tissue.cutters.cutter import Cutter
 from tissue.materials.constants import CUT_AS
 from tissue.materials.scene_constants import energy_note
 from tissue.models.tissue_model import TICK_S, TissueModel
 from tissue.motion.motion import Motion
-from tissue.scene.anatomy import MolarAnatomy
-from tissue.scene.named_parts import loaded
+from tissue.scene.anatomy import MolarAnatomy, Tooth
+from tissue.scene.part import is_given
 from tissue.scene.registry import CUTTERS
 from tissue.scene.scene import Scene, Stress
 from tissue.scene.tool import PathMotion, ReplayMotion, Tool
-from tissue.scene.unused_keys import is_given
 
 if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
@@ -52,7 +51,7 @@ def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: 
     report("building the anatomy", 0.0)
     volume = volume_of(scene, cutter, motion, notes=notes, report=report)
     require_touch(volume, cutter, motion)
-    if isinstance(scene.anatomy, MolarAnatomy) and not isinstance(scene.motion, ReplayMotion):
+    if isinstance(scene.anatomy, Tooth) and not isinstance(scene.motion, ReplayMotion):
         require_outside(volume, cutter, motion)
     if cutter.spin_rad_s == 0.0:
         return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
@@ -113,12 +112,13 @@ def cutter_of(tool: Tool) -> Cutter:
         name, _, unit = key.rpartition("_")
         si, factor = SI[unit]
         sizes[f"{name}_{si}"] = factor * getattr(tool, key)
-    return Cutter(loaded(entry.profile)(**sizes), tool.flutes, -tool.spin_rpm * 2.0 * pi / 60.0)
+    section = entry.profile or getattr(profile, tool.kind.replace("-", "_"))
+    return Cutter(section(**sizes), tool.flutes, -tool.spin_rpm * 2.0 * pi / 60.0)
 
 
 def _require_chips(scene: Scene, cutter: Cutter) -> None:
     """Refuse a given feed at which a tooth would take a chip thicker than the tool's radius."""
-    if scene.device != "none" or not isinstance(scene.motion, PathMotion):
+    if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return
     chip_mm, radius_mm = scene.motion.feed_mm_s * cutter.chip_per_speed_s, 1e3 * cutter.profile.radius_m
     if chip_mm > radius_mm:
@@ -231,7 +231,7 @@ def _tooth(scene: Scene, milling: "BoneModel", motion: Motion, *, compute: str, 
     from tissue.models.tooth.model import ToothModel
 
     anatomy = scene.anatomy
-    if not isinstance(anatomy, MolarAnatomy) or not (scene.stress or scene.heat):
+    if not isinstance(anatomy, Tooth) or not (scene.stress or scene.heat):
         return ToothModel(milling, device=compute)
     stress = scene.stress or Stress()
     cell_m = stress.cell_mm * 1e-3

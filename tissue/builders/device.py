@@ -1,11 +1,10 @@
 """The real device that a scene names, where what was registered opens one."""
 
 from meshes.base.errors import InputError
-from tissue.builders.registry import motion_of
+from tissue.builders.motions import motion_of
 from tissue.haptics.device.device import Device, DeviceParameters
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.models.tissue_model import TICK_S
-from tissue.scene.named_parts import loaded
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 
@@ -14,7 +13,7 @@ __all__ = ["opened_device", "opens_device", "require_stated_rate"]
 
 def opens_device(scene: Scene) -> bool:
     """Whether a scene names a device whose real one can be opened."""
-    return scene.device != "none" and DEVICES[scene.device].is_real
+    return scene.device is not None and DEVICES[scene.held.kind].is_real
 
 
 def opened_device(scene: Scene) -> Device | None:
@@ -27,18 +26,20 @@ def opened_device(scene: Scene) -> Device | None:
     """
     if not opens_device(scene):
         return None
-    entry = DEVICES[scene.device]
+    entry = DEVICES[scene.held.kind]
     x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0].tolist()
-    if entry.adapter is not None:
+    if entry.has_adapter:
         from tissue.hardware.mapped import MappedDevice
+        from tissue.hardware.search import adapter_class
 
-        return MappedDevice(loaded(entry.adapter)(scene.hardware), scene.hardware, start_m=(x, y, z))
+        hardware = scene.held.hardware
+        return MappedDevice(adapter_class(scene.held.kind)(hardware), hardware, start_m=(x, y, z))
     assert entry.make is not None
-    device = loaded(entry.make)((x, y, z))
+    device: Device = entry.make((x, y, z))
     if missing := [name for name in ("read", "command") if not callable(getattr(device, name, None))]:
         raise InputError(
             f"device must have read and command, got {type(device).__name__} without {' and '.join(missing)} for "
-            f"{scene.device}: see `tissue.haptics.device.device.Device`"
+            f"{scene.held.kind}: see `tissue.haptics.device.device.Device`"
         )
     return device
 

@@ -6,12 +6,11 @@ from math import floor, log10, sqrt
 import numpy as np
 
 from meshes.base.progress import silent
+from tissue.builders.motions import motion_of
 from tissue.builders.pierced_tissue import pierced_tissue
-from tissue.builders.registry import motion_of
 from tissue.haptics.device.device import DeviceParameters, device_parameters
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
-from tissue.scene.named_parts import loaded
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
@@ -44,11 +43,14 @@ def chosen_scale(scene: Scene) -> tuple[float, str]:
     InputError
         If the scene's bone cannot be built.
     """
-    if scene.device == "none":
+    if scene.device is None:
         return 1.0, ""
-    limits = device_parameters(scene.device, scene.constants)
+    given = scene.device.coupling.force_scale
+    if given != "auto":
+        return given, ""
+    limits = device_parameters(scene.held.kind, scene.constants)
     force = _met(
-        scene.model_dump_json(exclude={"seed", "duration_s", "device", "hand", "coupling", "fidelity"}),
+        scene.model_dump_json(exclude={"seed", "duration_s", "device", "fidelity"}),
         scene.constants.key,
     )
     if not force > 0.0:
@@ -68,8 +70,17 @@ def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
 def _met(table: str, _constants: str) -> float:
     """Largest force on the scripted motion [N] by what the scene's own constants hold; 0 where it is not known."""
     scene = Scene.model_validate_json(table)
-    met = ANATOMIES[scene.anatomy.kind].force_N
-    return 0.0 if met is None else float(loaded(met)(scene))
+    kind = scene.anatomy.kind
+    if ANATOMIES[kind].build is None:
+        known = {"slab": pressed, "liver": pressed, "layers": pierced, "wall": _unknown}
+        return known.get(kind, cut)(scene)
+    met = ANATOMIES[kind].force_N
+    return 0.0 if met is None else float(met(scene))
+
+
+def _unknown(scene: Scene) -> float:
+    """Return 0: no force is known before a run."""
+    return 0.0
 
 
 def cut(scene: Scene) -> float:
@@ -102,7 +113,7 @@ def pressed(scene: Scene) -> float:
     cited = scene.constants.constants("soft", organ.material)
     young = max(organ.young_kPa or cited["modulus_kPa"].value, organ.young_end_kPa or 0.0)
     ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
-    modulus, radius = 1e3 * young / (1.0 - ratio**2), 0.5e-3 * tool.diameter_mm
+    modulus, radius = 1e3 * young / (1.0 - ratio**2), 0.5e-3 * tool.size_mm
     depth = max(-float(motion_of(scene, step_s=TICK_S).sweep_m()[:, 2].min()), 0.0)
     if tool.kind == "sphere-probe":
         return float(4.0 / 3.0 * modulus * radius**0.5 * depth**1.5)

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError
 from meshes.shapes.polyline import arc_length
 from tissue.builders.device_motion import device_motion
+from tissue.builders.force_met import chosen_scale
 from tissue.builders.loop import person_of
 from tissue.builders.loop_settings import loop_settings
-from tissue.builders.recorded import plays_record
+from tissue.builders.motions import plays_record
 from tissue.haptics.device.device import DeviceParameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand.hand import Hand, HandParameters
@@ -41,7 +42,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
         If the coupling is unstable and that is not allowed, or the motion leaves the device's workspace.
     """
     settings = loop_settings(scene)
-    limits, person, scale = settings.limits, settings.person, scene.coupling.motion_scale
+    limits, person, scale = settings.limits, settings.person, scene.held.coupling.motion_scale
     if not plays_record(scene):
         _require_workspace(scene, scripted, limits)
     start = scripted.sweep_m()[0]
@@ -56,38 +57,42 @@ def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable
         x, y, z = start.tolist()
         return SimulatedDevice(limits, hand, position_m=(x, y, z))
 
+    scale_and_note = chosen_scale(scene)
     motion, notes = device_motion(
         settings,
         scripted,
         device,
-        force_scale=scene.force_scale,
-        scale_note=scene.chosen_scale[1],
+        force_scale=scale_and_note[0],
+        scale_note=scale_and_note[1],
         stray_m=_stray_m(scene),
         after_s=person.reaction_s + person.submovement_s + person.correction_s,
         rng=feeling,
         step_s=step_s,
         allow_unstable=allow_unstable,
     )
-    return motion, f"{scene.device} in the hand of {person_of(scene.hand)}, {scene.renderer}: {'; '.join(notes)}"
+    return (
+        motion,
+        f"{scene.held.kind} in the hand of {person_of(scene.held.hand)}, {scene.held.renderer}: {'; '.join(notes)}",
+    )
 
 
 def _stray_m(scene: Scene) -> float:
     """How far around the scripted motion tissue is made ready for the tool [m]."""
-    if scene.coupling.roam_mm is not None:
-        return 1e-3 * scene.coupling.roam_mm
+    if scene.held.coupling.roam_mm is not None:
+        return 1e-3 * scene.held.coupling.roam_mm
     return 0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
 
 
 def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
     """Refuse a motion that leaves the device's workspace, whose box may lie along the axes as it fits."""
     workspace, extent = limits.workspace_m, np.sort(np.ptp(scripted.sweep_m(), axis=0))
-    scale = scene.coupling.motion_scale
+    scale = scene.held.coupling.motion_scale
     if (extent > scale * workspace).any():
         fits = ceil(100.0 * float((extent / workspace).max()) - 1e-9) / 100.0
         sizes = lambda edges: " x ".join(f"{1e3 * each:.0f}" for each in edges[::-1])  # noqa: E731
         raise InputError(
             f"coupling.motion_scale must be at least {fits:g} for a motion of {sizes(extent)} mm in the workspace of "
-            f"{scene.device}, {sizes(workspace)} mm, got {scale:g}: use {fits:g}"
+            f"{scene.held.kind}, {sizes(workspace)} mm, got {scale:g}: use {fits:g}"
         )
 
 
@@ -102,10 +107,10 @@ def _aims(
     step_s: float,
 ) -> tuple[Path, Callable[[float], Array] | None]:
     """Where the hand aims, and what it pushes with besides."""
-    corners, scale = scripted.sweep_m(), scene.coupling.motion_scale
+    corners, scale = scripted.sweep_m(), scene.held.coupling.motion_scale
     furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
     if isinstance(scene.motion, ThrustMotion):
-        push_N = min(scene.force_scale * scene.motion.thrust_N, limits.force_limit_N)
+        push_N = min(chosen_scale(scene)[0] * scene.motion.thrust_N, limits.force_limit_N)
         thrust = Thrust(corners[0], corners[-1] - corners[0], tool, push_N, scale * push_N / stiffness_N_m)
         return thrust.path, thrust.push
     path = waypoints(*_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s))

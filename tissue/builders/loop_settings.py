@@ -18,7 +18,7 @@ from tissue.scene.tool import Tool
 if TYPE_CHECKING:
     from tissue.perception.perception import Perception
 
-__all__ = ["Contact", "LoopSettings", "loop_settings", "sampled"]
+__all__ = ["Contact", "LoopSettings", "loop_settings", "no_predictor", "sampled"]
 
 Contact = Literal["cuts", "touches", "presses", "wall"]
 """What a tool does to what it meets: cut it, touch it as a rigid thing, press it soft, or press the test wall."""
@@ -103,34 +103,30 @@ def sampled(limits: DeviceParameters) -> DeviceParameters:
 
 def loop_settings(scene: Scene) -> LoopSettings:
     """What a scene states of its device, of the hand and of what lies between them and the tool."""
-    tool, limits = scene.tool, sampled(device_parameters(scene.device, scene.constants))
+    held, tool = scene.held, scene.tool
+    limits = sampled(device_parameters(held.kind, scene.constants))
     contact: Contact = "wall" if isinstance(scene.anatomy, WallAnatomy) else "presses"
     teeth_Hz = 0.0
     if isinstance(tool, Tool):
         contact = "touches" if tool.spin_rpm == 0.0 else "cuts"
         teeth_Hz = tool.flutes * abs(tool.spin_rpm) / 60.0
 
-    def predictor() -> Predictor | None:
-        """The predictor that the scene names."""
-        if scene.prediction == "none":
-            return None
-        from tissue.builders.prediction import predictor
+    predictor: Callable[[], Predictor | None] = no_predictor
+    if held.prediction != "none":
+        from tissue.builders.prediction import maker_of
 
-        return predictor(
-            scene.prediction,
-            scene_name=scene.name,
-            file=scene.coupling.predictor_file,
-            force_limit_N=limits.force_limit_N,
+        predictor = maker_of(
+            held.prediction, scene_name=scene.name, file=scene.predictor_file, force_limit_N=limits.force_limit_N
         )
 
     def perception(rng: np.random.Generator) -> "Perception | None":
         """The person whom the scene names."""
-        if scene.perception == "none":
+        if held.perception == "none":
             return None
         from tissue.builders.perception import perception
 
         return perception(
-            scene.perception,
+            held.perception,
             rng=rng,
             force_limit_N=limits.force_limit_N,
             tick_s=TICK_S,
@@ -138,12 +134,12 @@ def loop_settings(scene: Scene) -> LoopSettings:
         )
 
     return LoopSettings(
-        scene.device,
+        held.kind,
         limits,
-        scene.hand,
-        hand_parameters(scene.hand, scene.constants),
-        scene.coupling,
-        scene.renderer,
+        held.hand,
+        hand_parameters(held.hand, scene.constants),
+        held.coupling,
+        held.renderer,
         scene.output.low_pass_ms,
         contact,
         teeth_Hz,

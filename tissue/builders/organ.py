@@ -28,8 +28,8 @@ from tissue.materials.elasticity import (
 from tissue.materials.scene_constants import Materials
 from tissue.motion.motion import frame_along
 from tissue.scene.named_parts import nearest
-from tissue.scene.organ import LiverAnatomy, Organ, SlabAnatomy
-from tissue.scene.unused_keys import is_given
+from tissue.scene.organ import Held, LiverAnatomy, LiverFile, Organ, SlabAnatomy, SoftAnatomy, WithNodule
+from tissue.scene.part import is_given
 
 __all__ = ["HeldMesh", "elasticity_of", "held_mesh"]
 
@@ -76,9 +76,7 @@ class HeldMesh:
     placement: Placement | None = None
 
 
-def held_mesh(
-    anatomy: LiverAnatomy | SlabAnatomy, *, path_m: NDArray[np.float64], touch_edge_m: float, report: Progress
-) -> HeldMesh:
+def held_mesh(anatomy: SoftAnatomy, *, path_m: NDArray[np.float64], touch_edge_m: float, report: Progress) -> HeldMesh:
     """Mesh of a scene's organ, procedural or from its file, made fine where the tool goes.
 
     Parameters
@@ -107,16 +105,17 @@ def held_mesh(
             block = slab(size_m=(size[0], size[1], size[2]), spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy))
             mesh = fine(block)
             return HeldMesh(mesh, slab_base(mesh), {"held": "the lower face, bonded to the ground"})
-        if anatomy.file is None:
+        if isinstance(anatomy, LiverAnatomy):
             mesh = fine(liver(spacing_m=1e-3 * anatomy.edge_mm, nodule=_nodule(anatomy)), onto_liver)
             litres = 1e3 * float(mesh.volumes_m3.sum())
             notes = {"liver": f"procedural, {litres:.2f} l; no vessels and no ligaments", "held": _held_note(anatomy)}
             return HeldMesh(mesh, _held(anatomy, mesh), notes)
+        assert isinstance(anatomy, LiverFile)
         return _from_file(anatomy, fine, report)
 
 
 def elasticity_of(
-    mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ, constants: Materials = Materials.cited
+    mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ, constants: Materials = Materials.cited
 ) -> tuple[NDArray[np.float64], str]:
     """Lame constants of the cells [Pa], shape (m, 2), or with fibres stiffness matrices, (m, 6, 6), and a note."""
     cited = constants.constants("soft", organ.material)
@@ -171,7 +170,7 @@ def _fibrous(poisson_ratio: float, along: float) -> NDArray[np.float64]:
     )
 
 
-def _moduli_kPa(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ) -> dict[int, float]:
+def _moduli_kPa(mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ) -> dict[int, float]:
     """Young's moduli of parts that differ, by their numbers in the mesh [kPa].
 
     Raises
@@ -179,7 +178,7 @@ def _moduli_kPa(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ
     InputError
         If the mesh has no part of a name, or one is named twice.
     """
-    from_file = isinstance(anatomy, LiverAnatomy) and anatomy.file is not None
+    from_file = isinstance(anatomy, LiverFile)
     names = mesh.part_names
     found = {names.index(PART_NODULE): NODULE_KPA} if PART_NODULE in names and not from_file else {}
     given: dict[int, str] = {}
@@ -198,7 +197,7 @@ def _moduli_kPa(mesh: TetMesh, anatomy: LiverAnatomy | SlabAnatomy, organ: Organ
     return found
 
 
-def _nodule(anatomy: LiverAnatomy | SlabAnatomy) -> Nodule | None:
+def _nodule(anatomy: WithNodule) -> Nodule | None:
     if anatomy.nodule_diameter_mm == 0.0:
         return None
     if anatomy.nodule_diameter_mm < 2.0 * anatomy.edge_mm:
@@ -221,9 +220,9 @@ def _away(points_m: NDArray[np.float64], path_m: NDArray[np.float64]) -> NDArray
     return nearest
 
 
-def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh, Move | None], TetMesh], report: Progress) -> HeldMesh:
+def _from_file(anatomy: LiverFile, fine: Callable[[TetMesh, Move | None], TetMesh], report: Progress) -> HeldMesh:
     """Mesh of a file, turned and moved to its site."""
-    found = read_tets(anatomy.file or "", unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, report=report)
+    found = read_tets(anatomy.file, unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, report=report)
     if found.surface is None and is_given(anatomy, "edge_mm"):
         raise InputError(
             f"anatomy.edge_mm must be left out for tetrahedra from a file, got {anatomy.edge_mm:g}: set "
@@ -255,7 +254,7 @@ def _from_file(anatomy: LiverAnatomy, fine: Callable[[TetMesh, Move | None], Tet
     return HeldMesh(placed, _held(anatomy, placed), notes, Placement(1e3 * origin, turn, found.unit_mm))
 
 
-def _held(anatomy: LiverAnatomy, mesh: TetMesh) -> NDArray[np.int64]:
+def _held(anatomy: Held, mesh: TetMesh) -> NDArray[np.int64]:
     """Nodes that the scene's support holds."""
     if anatomy.held == "plane":
         height = 1e-3 * anatomy.held_below_mm
@@ -265,12 +264,12 @@ def _held(anatomy: LiverAnatomy, mesh: TetMesh) -> NDArray[np.int64]:
             raise InputError(f"held_part must be given, got nothing: use one of {', '.join(mesh.part_names)}")
         numbered = f"part {anatomy.held_part}"
         return nodes_of_part(mesh, numbered if numbered in mesh.part_names else anatomy.held_part)
-    if anatomy.file is None:
+    if isinstance(anatomy, LiverAnatomy):
         return liver_region(mesh, anatomy.held)
     return nodes_facing(mesh, direction=(0.0, 0.0, -1.0) if anatomy.held == "below" else (0.0, 1.0, 0.0))
 
 
-def _held_note(anatomy: LiverAnatomy) -> str:
+def _held_note(anatomy: Held) -> str:
     note = {
         "below": "the surface that faces down",
         "back": "the surface that faces back",

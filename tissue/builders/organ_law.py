@@ -11,7 +11,7 @@ from tissue.builders.device import opens_device
 from tissue.builders.organ import HeldMesh, elasticity_of, held_mesh
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.scene.named_parts import shown
-from tissue.scene.organ import LiverAnatomy, Organ, SlabAnatomy
+from tissue.scene.organ import Organ, SoftAnatomy
 from tissue.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -66,10 +66,11 @@ def coarser_mesh(scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: flo
     A nodule asks for cells as short as the scene's, and tetrahedra from a file keep theirs away from the tool.
     """
     anatomy = scene.anatomy
-    assert isinstance(anatomy, LiverAnatomy | SlabAnatomy)
-    edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_diameter_mm else ratio)
+    assert isinstance(anatomy, SoftAnatomy)
+    edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else ratio)
     # Not as if it had been set: tetrahedra from a file have edges of their own.
-    coarse = type(anatomy).model_construct(anatomy.model_fields_set, **(dict(anatomy) | {"edge_mm": edge_mm}))
+    given = anatomy.model_fields_set - {"edge_mm"}
+    coarse = type(anatomy).model_construct(given, **(dict(anatomy) | {"edge_mm": edge_mm}))
     return held_mesh(coarse, path_m=path_m, touch_edge_m=ratio * touch_edge_m, report=report)
 
 
@@ -103,7 +104,7 @@ def organ_law(
         return None
     if opens_device(scene):
         raise InputError(
-            f"device and organ.law must be left out together, got {scene.device} and {organ.law}: remove one, "
+            f"device and organ.law must be left out together, got {scene.held.kind} and {organ.law}: remove one, "
             "a real device would wait where solving the law takes longer than its interval"
         )
     law, factors = found
@@ -111,7 +112,7 @@ def organ_law(
     if organ.law_edge_ratio == 1.0:
         return OrganLaw(law, factors, interval_s)
     mesh = coarser_mesh(scene, path_m=path_m, touch_edge_m=touch_edge_m, ratio=organ.law_edge_ratio, report=report)
-    assert isinstance(scene.anatomy, LiverAnatomy | SlabAnatomy)
+    assert isinstance(scene.anatomy, SoftAnatomy)
     moduli, _ = elasticity_of(mesh.mesh, scene.anatomy, organ, scene.constants)
     coarser = SoftOrgan(mesh.mesh, moduli, mesh.held, order=organ.order, device=compute)
     return OrganLaw(law, factors, interval_s, (coarser, moduli[:, 1] / law.shear_Pa))

@@ -2,28 +2,31 @@
 
 from functools import partial
 from math import inf
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.errors import names_of_caller
+from meshes.base.errors import InputError, names_of_caller
 from meshes.base.kept import Kept
 from meshes.base.progress import Progress
 from meshes.shapes.polyline import kept_corners
 from tissue.builders.organ import HeldMesh, elasticity_of, held_mesh
-from tissue.builders.organ_body import capsule_of, density_of, prony_of
 from tissue.builders.organ_law import organ_law
 from tissue.builders.parts import Parts
 from tissue.builders.pierced_tissue import pierced_tissue
-from tissue.builders.probe import poses_along, require_outside, shell_note
+from tissue.builders.probe import poses_along, probe_of, require_outside, shell_note
+from tissue.materials.scene_constants import Materials
 from tissue.models.organ.probe import ShellProbe
 from tissue.models.wall import WallModel
 from tissue.motion.motion import Motion
 from tissue.scene.coupling import WallAnatomy
-from tissue.scene.named_parts import loaded
-from tissue.scene.organ import LayersAnatomy, LiverAnatomy, SlabAnatomy
-from tissue.scene.registry import PROBES
+from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Needle, Probe
+
+if TYPE_CHECKING:
+    from tissue.materials.prony import Prony
+    from tissue.models.organ.soft_organ import Membrane
 
 __all__ = ["pierced", "pressed", "wall"]
 
@@ -58,12 +61,12 @@ def pierced(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     track, fields = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter), None
     if track is not None and scene.anatomy.interval_ms > 0.0:
         report("solving a block of the organ around the needle", 0.0)
-        near = diameter if scene.device == "none" else HAND_M
+        near = diameter if scene.device is None else HAND_M
         fields = NeedleFields.of_liver(
             track, near_m=near, interval_s=1e-3 * scene.anatomy.interval_ms, constants=scene.constants
         )
         notes["fields"] = fields.note(tissue)
-        if scene.device != "none":
+        if scene.device is not None:
             notes["fields"] += f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 
@@ -77,25 +80,25 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
         If the organ cannot be meshed or held, the probe never touches it, or starts inside.
     """
     anatomy, organ = scene.anatomy, scene.organ
-    assert isinstance(anatomy, LiverAnatomy | SlabAnatomy) and isinstance(scene.tool, Probe)
+    assert isinstance(anatomy, SoftAnatomy) and isinstance(scene.tool, Probe)
     notes: dict[str, str] = {}
-    prony = prony_of(organ, notes, scene.constants)
+    prony = _prony_of(organ, notes, scene.constants)
     report("meshing the organ", 0.0)
-    edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+    edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
     within_m, path = 1e-3 * KEPT * edge_mm, motion.sweep_m()
     path = path[kept_corners(path, within_m)]
     meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=1e-3 * edge_mm, report=report)
-    from_file = isinstance(anatomy, LiverAnatomy) and anatomy.file is not None
+    from_file = isinstance(anatomy, LiverFile)
     found = meshed() if from_file else _meshes.of((anatomy.model_dump_json(), path.tobytes(), edge_mm), meshed)
     elasticity, note = elasticity_of(found.mesh, anatomy, organ, scene.constants)
-    probe = loaded(PROBES[scene.tool.kind].make)(scene.tool)
+    probe = probe_of(scene.tool)
     notes |= found.notes | {"modulus": note}
     if isinstance(probe, ShellProbe):
         notes["tool"] = shell_note(scene.tool, probe)
     law = organ_law(
         scene, elasticity, path_m=path, touch_edge_m=1e-3 * edge_mm, compute=compute, report=report
     )  # fmt: skip
-    capsule, density = capsule_of(organ, notes, scene.constants), density_of(organ, scene.constants)
+    capsule, density = _capsule_of(organ, notes, scene.constants), _density_of(organ, scene.constants)
     report("compiling kernels (the first time on a machine)", 0.0)
     from tissue.models.organ.soft_organ import SoftOrgan
 
@@ -128,5 +131,52 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
 def wall(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
     """Parts of a scene in which a ball is pushed against a wall."""
     assert isinstance(scene.anatomy, WallAnatomy) and isinstance(scene.tool, Probe)
-    radius_m = 0.5e-3 * scene.tool.diameter_mm
+    radius_m = 0.5e-3 * scene.tool.size_mm
     return Parts(motion, WallModel(1e3 * scene.anatomy.stiffness_kN_m, radius_m=radius_m))
+
+
+def _capsule_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "Membrane | None":
+    """The capsule of the organ's material, where the scene asks for one; it is added to the notes."""
+    if not organ.capsule:
+        return None
+    from tissue.models.organ.soft_organ import Membrane
+
+    table = constants.constants("soft", f"{organ.material}_capsule")
+    thickness, young = table["thickness_um"], table["modulus_kPa"]
+    notes["capsule"] = (
+        f"{thickness.value:g} ({thickness.low:g}-{thickness.high:g}) um of {1e-3 * young.value:g} "
+        f"({1e-3 * young.low:g}-{1e-3 * young.high:g}) MPa, confidence {young.confidence}"
+    )
+    return Membrane(1e-6 * thickness.value, 1e3 * young.value, table["poisson_ratio"].value)
+
+
+def _density_of(organ: Organ, constants: Materials) -> float | None:
+    """The density of the organ's material [kg/m3]; None where it does not hang in its own weight."""
+    return constants.constants("soft", organ.material)["density_kg_m3"].value if organ.gravity else None
+
+
+def _prony_of(organ: Organ, notes: dict[str, str], constants: Materials) -> "Prony | None":
+    """The relaxation of the organ's material, where the scene asks for it.
+
+    Raises
+    ------
+    InputError
+        If the organ's compliance is lazy, or no relaxation is cited for its material.
+    """
+    if not organ.viscous:
+        return None
+    if organ.path == "lazy":
+        raise InputError("organ.path must not be lazy for a viscous organ, got lazy: use condensed")
+    from tissue.materials.prony import Prony
+
+    table = constants.constants("soft", organ.material)
+    numbers = [k for k in range(1, 10) if f"prony_g{k}" in table]
+    if not numbers:
+        raise InputError(f"organ.viscous must be false for {organ.material}, got true: no relaxation is cited for it")
+    shares = tuple(table[f"prony_g{k}"].value for k in numbers)
+    times = tuple(table[f"prony_tau{k}_s"].value for k in numbers)
+    notes["relaxation"] = (
+        "; ".join(f"{g:g} in {t:g} s" for g, t in zip(shares, times, strict=True))
+        + f"; the modulus is that of the first instant; confidence {table['prony_g1'].confidence}"
+    )
+    return Prony(shares, times)

@@ -47,7 +47,8 @@ def perception(
     if choice == "none":
         return None
     name, argument = PERCEPTIONS.split(choice, "none")
-    return PERCEPTIONS[name](argument, rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N)
+    make = PERCEPTIONS[name] or {"population": of_population, "observer:FILE": of_observer}[name]
+    return make(argument, rng=rng, force_limit_N=force_limit_N, tick_s=tick_s, friction_N=friction_N)
 
 
 def of_population(

@@ -14,7 +14,7 @@ __all__ = ["pierced_tissue"]
 
 def pierced_tissue(scene: Scene) -> "NeedleTissue":
     """The organ as a scene's needle feels it; a needle from outside states its own numbers."""
-    from tissue.models.needle.parameters import vessel_wall
+    from tissue.models.needle.parameters import needle_tissue, vessel_wall
 
     anatomy, kind = scene.anatomy, scene.tool.kind
     assert isinstance(anatomy, LayersAnatomy)
@@ -29,6 +29,8 @@ def pierced_tissue(scene: Scene) -> "NeedleTissue":
         )
         for name, depth_mm in anatomy.membranes
     )
-    if kind in NEEDLES.built_in:
-        return NEEDLES[kind](walls=walls, constants=scene.constants)
-    return NEEDLES[kind](walls=walls)
+    outside = NEEDLES[kind]
+    if outside is None:
+        return needle_tissue(walls=walls, constants=scene.constants)
+    found: NeedleTissue = outside(walls=walls)
+    return found

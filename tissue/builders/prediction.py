@@ -1,5 +1,7 @@
 """A predictor by its name."""
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 from meshes.base.errors import InputError
@@ -10,11 +12,10 @@ from tissue.prediction.look_ahead import LookAhead
 from tissue.prediction.paths import FilteredPath, OperatorPath
 from tissue.prediction.predictor import Hold, Predictor
 from tissue.prediction.trained import Trained, shipped_file
-from tissue.scene.named_parts import loaded
 from tissue.scene.registry import PREDICTORS
 
 __all__ = [
-    "FALLBACKS", "dmdc", "hold", "kalman", "koopman", "koopman_look_ahead", "linear", "look_ahead", "predictor",
+    "FALLBACKS", "dmdc", "hold", "kalman", "koopman", "koopman_look_ahead", "linear", "look_ahead", "maker_of",
     "trained_predictor",
 ]  # fmt: skip
 
@@ -22,8 +23,8 @@ FALLBACKS = ("hold", "linear", "kalman", "dmdc", "look-ahead")
 """Predictors without a lifted operator, of which training chooses what a lifted one hands over to."""
 
 
-def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float) -> Predictor:
-    """A predictor for a scene's device.
+def maker_of(kind: str, *, scene_name: str, file: str, force_limit_N: float) -> Callable[[], Predictor]:
+    """Return what makes new predictors for a scene's device; a trained one is read once, by the first.
 
     Parameters
     ----------
@@ -34,18 +35,21 @@ def predictor(kind: str, *, scene_name: str, file: str, force_limit_N: float) ->
     file
         What `tissue train` has written; empty for the scene's own.
     force_limit_N
-        Greatest force of the device: no predictor goes further than this from the present force.
+        Largest force of the device: no predictor goes further than this from the present force.
 
     Raises
     ------
     InputError
-        If there is none of that kind, or its file is missing, damaged, or of another version or scene.
+        By the first call, if the file is missing, damaged, or of another version or scene.
     """
-    trained = None
-    if PREDICTORS[kind].trained:
-        path = Path(file) if file else shipped_file(scene_name)
-        trained = Trained.read(path, scene=scene_name)
-    return trained_predictor(kind, trained, force_limit_N=force_limit_N)
+
+    @cache
+    def trained() -> Trained | None:
+        if not PREDICTORS[kind].trained:
+            return None
+        return Trained.read(Path(file) if file else shipped_file(scene_name), scene=scene_name)
+
+    return lambda: trained_predictor(kind, trained(), force_limit_N=force_limit_N)
 
 
 def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: float) -> Predictor:
@@ -59,7 +63,8 @@ def trained_predictor(kind: str, trained: Trained | None, *, force_limit_N: floa
     entry = PREDICTORS[kind]
     if entry.trained and trained is None:
         raise InputError(f"trained must be given for {kind}, got nothing: pass Trained.read(FILE)")
-    return loaded(entry.make)(trained, force_limit_N)
+    make: Callable[[Trained | None, float], Predictor] = entry.make or globals()[kind.replace("-", "_")]
+    return make(trained, force_limit_N)
 
 
 def hold(trained: Trained | None, force_limit_N: float) -> Predictor:

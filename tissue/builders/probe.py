@@ -9,11 +9,12 @@ from meshes.base.errors import InputError, is_file, names_of_caller
 from meshes.shapes.polyline import arc_length, kept_corners, points_along
 from meshes.tets.tetrahedra import TetMesh
 from tissue.builders.parts import FILE_WORDS
-from tissue.models.organ.probe import CylinderProbe, ShellProbe, SphereProbe
+from tissue.models.organ.probe import CylinderProbe, ProbeShape, ShellProbe, SphereProbe
 from tissue.motion.motion import Motion
+from tissue.scene.registry import PROBES
 from tissue.scene.tool import Probe
 
-__all__ = ["cylinder", "poses_along", "require_outside", "shell", "shell_note", "sphere"]
+__all__ = ["cylinder", "poses_along", "probe_of", "require_outside", "shell", "shell_note", "sphere"]
 
 POSES_TRIED = 200
 """Poses along a motion at which the organ is looked for."""
@@ -21,12 +22,12 @@ POSES_TRIED = 200
 
 def sphere(tool: Probe) -> SphereProbe:
     """A ball."""
-    return SphereProbe(0.5e-3 * tool.diameter_mm)
+    return SphereProbe(0.5e-3 * tool.size_mm)
 
 
 def cylinder(tool: Probe) -> CylinderProbe:
     """The flat end of a cylinder, its edge rounded."""
-    radius = 0.5e-3 * tool.diameter_mm
+    radius = 0.5e-3 * tool.size_mm
     return CylinderProbe(radius, min(0.1 * radius, 5e-4))
 
 
@@ -38,12 +39,12 @@ def shell(tool: Probe) -> ShellProbe:
     InputError
         If its file is missing, or holds no closed surface.
     """
-    file = Path(tool.file or "")
+    file = Path(tool.file_name)
     if not is_file(file):
         raise InputError(f"tool.file must exist, got {file}: check the path")
     try:
         with names_of_caller(dict.fromkeys(("mesh", *FILE_WORDS), "tool.file")):
-            return ShellProbe.from_mesh(file, scale=1e-3 * tool.scale_mm)
+            return ShellProbe.from_mesh(file, scale=1e-3 * tool.scale)
     except InputError:
         raise
     except Exception as problem:  # trimesh's readers raise whatever their format's parser does
@@ -55,7 +56,16 @@ def shell(tool: Probe) -> ShellProbe:
 def shell_note(tool: Probe, probe: ShellProbe) -> str:
     """The unit in which a probe's file was taken, and the size that gives."""
     sides = " x ".join(f"{1e3 * side:.3g}" for side in np.ptp(probe.points_m, axis=0))
-    return f"{Path(tool.file or '').name} taken at {tool.scale_mm:g} mm per unit: {sides} mm"
+    return f"{Path(tool.file_name).name} taken at {tool.scale:g} mm per unit: {sides} mm"
+
+
+def probe_of(tool: Probe) -> ProbeShape:
+    """Return the shape that a scene's tool describes."""
+    make = PROBES[tool.kind].make
+    if make is not None:
+        shape: ProbeShape = make(tool)
+        return shape
+    return {"sphere-probe": sphere, "cylinder-probe": cylinder, "shell-probe": shell}[tool.kind](tool)
 
 
 def poses_along(motion: Motion, within_m: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,6 +1,6 @@
 """The voxels that a tool can reach of the bone that a scene asks for, and whether it meets them on its path."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from functools import partial
 
@@ -23,10 +23,20 @@ from tissue.builders.bone_from_file import Corners, bone_from_file, box_text, la
 from tissue.builders.parts import FILE_WORDS
 from tissue.cutters.cutter import Cutter
 from tissue.motion.motion import Motion
-from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, BoneAnatomy, GlenoidAnatomy, MolarAnatomy
+from tissue.scene.anatomy import (
+    BlockAnatomy,
+    BlockImage,
+    CutAnatomy,
+    GlenoidAnatomy,
+    ImageAnatomy,
+    MolarAnatomy,
+    MolarLabels,
+    MolarSurfaces,
+    Placed,
+    Tooth,
+    VertebraAnatomy,
+)
 from tissue.scene.scene import Scene
-from tissue.scene.unused_bone_keys import is_whole_image
-from tissue.scene.vertebra import VertebraAnatomy
 
 __all__ = [
     "is_procedural",
@@ -58,10 +68,11 @@ _volumes: Kept[VoxelVolume] = Kept(2)
 
 def whole_tooth(scene: Scene, *, spacing_m: float, report: Progress = silent) -> VoxelVolume:
     """The whole tooth that a scene describes, in coarser voxels, undrilled."""
-    with _named(scene.bone):
-        if scene.bone.file is not None:
-            return labelled_tooth(scene, spacing_m=spacing_m, notes={}, report=report)
-        return voxelise(_anatomy(scene, {}), spacing_m=spacing_m)
+    parameters = scene.bone
+    with _named(parameters):
+        if isinstance(parameters, MolarLabels):
+            return labelled_tooth(parameters, spacing_m=spacing_m, notes={}, report=report)
+        return voxelise(_anatomy(parameters, {}), spacing_m=spacing_m)
 
 
 def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], report: Progress) -> VoxelVolume:
@@ -70,13 +81,13 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     parameters = scene.bone
     region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
     with _named(parameters):
-        if is_whole_image(parameters):
-            return whole_image(scene, notes=notes)
-        if isinstance(parameters, MolarAnatomy) and parameters.file is not None:
-            return labelled_tooth(scene, spacing_m=spacing, region=region, notes=notes, report=report)
-        anatomy = _anatomy(scene, notes)
+        if isinstance(parameters, BlockImage) and parameters.is_whole:
+            return whole_image(parameters, spacing_mm=scene.voxels.spacing_mm, notes=notes)
+        if isinstance(parameters, MolarLabels):
+            return labelled_tooth(parameters, spacing_m=spacing, region=region, notes=notes, report=report)
+        anatomy = _anatomy(parameters, notes)
     if anatomy.caps_m:
-        require_whole(anatomy, region, is_image=parameters.is_image)
+        require_whole(anatomy, region, is_image=isinstance(parameters, ImageAnatomy))
     bone = np.array(anatomy.shape.lower_m), np.array(anatomy.shape.upper_m)
     low = np.maximum(region[0], bone[0])
     high = np.minimum(region[1], bone[1])
@@ -97,14 +108,14 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     return _volumes.of((parameters.model_dump_json(), spacing, low.tobytes(), high.tobytes(), *start), voxels)
 
 
-def is_procedural(parameters: AnatomyFile) -> bool:
+def is_procedural(parameters: CutAnatomy) -> bool:
     """Whether an anatomy comes from no file, and is known as a function of position."""
-    return parameters.file is None and not (isinstance(parameters, MolarAnatomy) and parameters.layer_files)
+    return type(parameters) in PROCEDURAL
 
 
 def structures(scene: Scene) -> Mapping[str, sdf.Shape]:
     """Structures of a scene's anatomy that a tool may be kept clear of, by name; none of one from files."""
-    return _anatomy(scene, {}).structures if is_procedural(scene.bone) else {}
+    return _anatomy(scene.bone, {}).structures if is_procedural(scene.bone) else {}
 
 
 def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
@@ -121,62 +132,42 @@ def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
             f"anatomy must be procedural to be known exactly, got a {scene.anatomy.kind} from a file: "
             "leave the file out"
         )
-    return _anatomy(scene, {}), _guide_hole(scene, motion)
+    return _anatomy(parameters, {}), _guide_hole(scene, motion)
 
 
-def _anatomy(scene: Scene, notes: dict[str, str]) -> Anatomy:
-    """The procedural bone, or the one in a file placed at its site."""
-    parameters = scene.bone
-    if isinstance(parameters, MolarAnatomy) and parameters.layer_files:
+PROCEDURAL: dict[type[CutAnatomy], Callable[..., Anatomy]] = {
+    MolarAnatomy: molar,
+    GlenoidAnatomy: glenoid,
+    VertebraAnatomy: lumbar_vertebra,
+    BlockAnatomy: cortical_block,
+}
+"""What makes an anatomy of the keys of its table."""
+NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
+"""Keys of an anatomy that do not shape it."""
+
+
+def _anatomy(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
+    """Return the procedural bone, or the one in a file placed at its site."""
+    if isinstance(parameters, MolarSurfaces):
         anatomy = layered_surfaces(
             parameters.layer_files,
             scale_mm=parameters.scale_mm,
             socket_mm=parameters.socket_mm,
             at_lesion=parameters.site == "caries",
         )
-    elif parameters.file is not None or isinstance(parameters, BoneAnatomy):
+    elif isinstance(parameters, Placed):
         anatomy = bone_from_file(parameters, notes)
-    elif isinstance(parameters, MolarAnatomy):
-        anatomy = molar(
-            crown_width_mm=parameters.crown_width_mm,
-            crown_length_mm=parameters.crown_length_mm,
-            enamel_thickness_mm=parameters.enamel_thickness_mm,
-            pulp_roof_mm=parameters.pulp_roof_mm,
-            ligament_thickness_mm=parameters.ligament_thickness_mm,
-            caries_depth_mm=parameters.caries_depth_mm,
-            caries_diameter_mm=parameters.caries_diameter_mm,
-        )
-    elif isinstance(parameters, GlenoidAnatomy):
-        anatomy = glenoid(
-            width_mm=parameters.width_mm,
-            height_mm=parameters.height_mm,
-            curvature_radius_mm=parameters.curvature_radius_mm,
-            subchondral_thickness_mm=parameters.subchondral_thickness_mm,
-        )
-    elif isinstance(parameters, VertebraAnatomy):
-        anatomy = lumbar_vertebra(
-            body_width_mm=parameters.body_width_mm,
-            body_depth_mm=parameters.body_depth_mm,
-            body_height_mm=parameters.body_height_mm,
-            canal_width_mm=parameters.canal_width_mm,
-            canal_depth_mm=parameters.canal_depth_mm,
-            pedicle_width_mm=parameters.pedicle_width_mm,
-            pedicle_height_mm=parameters.pedicle_height_mm,
-            pedicle_angle_deg=parameters.pedicle_angle_deg,
-            pedicle_cortex_mm=parameters.pedicle_cortex_mm,
-        )
     else:
-        assert isinstance(parameters, BlockAnatomy)
-        anatomy = cortical_block(size_mm=parameters.size_mm, density_kg_m3=parameters.density_kg_m3)
+        anatomy = PROCEDURAL[type(parameters)](**parameters.model_dump(exclude=NO_SHAPE))
     notes.update(anatomy.notes)
     return anatomy
 
 
-def _named(parameters: AnatomyFile) -> AbstractContextManager[None]:
+def _named(parameters: CutAnatomy) -> AbstractContextManager[None]:
     """Let a refusal name the scene's key: geometry knows its arguments, not where a scene gives them."""
     keys = {name: f"anatomy.{name}" for name in type(parameters).model_fields}
     names = dict.fromkeys(FILE_WORDS, "anatomy.file") | keys
-    layers = parameters.layer_files if isinstance(parameters, MolarAnatomy) else {}
+    layers = parameters.layer_files if isinstance(parameters, Tooth) else {}
     if layers:
         names |= {f"{layer} {word}": f"anatomy.{layer}_file" for layer in layers for word in FILE_WORDS}
         missing = "dentin" if "enamel" in layers else "enamel"
@@ -263,7 +254,7 @@ def _on_one_side(points: NDArray[np.float64], region: Corners) -> bool:
 
 def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
     """The hole that guides the peg: along the tool's first axis, from above the face to its depth."""
-    diameter, depth = scene.bone.guide_hole_diameter_mm * 1e-3, scene.bone.guide_hole_depth_mm * 1e-3
+    diameter, depth = (1e-3 * size for size in scene.bone.guide_hole_mm)
     if diameter == 0.0 or depth == 0.0:
         return None
     axis, tip = motion.rotations()[0][:, 2], motion.sweep_m()[0]

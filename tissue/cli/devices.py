@@ -83,22 +83,21 @@ def _limits(found: "FoundDevice") -> str:
 def _test(name: str, address: str, seconds: float, out: Path | None, *, yes: bool, overwrite: bool) -> None:
     from meshes.base.errors import InputError
     from tissue.hardware.measured_file import write_measured
+    from tissue.hardware.search import adapter_class
     from tissue.hardware.self_test import BUMP_N, BUMP_S, bump, self_test
     from tissue.scene.hardware import Hardware
-    from tissue.scene.named_parts import loaded, unknown_name
+    from tissue.scene.named_parts import unknown_name
     from tissue.scene.registry import DEVICES
     from tissue.system.outputs import require_new_file
 
-    known = [each for each in DEVICES if DEVICES[each].adapter is not None]
+    known = [each for each in DEVICES if DEVICES[each].has_adapter]
     if name not in known:
         raise InputError(unknown_name("--test", known, name))
     if out is not None:
         require_new_file(out, overwrite=overwrite)
         if not out.parent.is_dir():
             raise InputError(f"out must lie in a folder that exists, got {out}: create {out.parent}")
-    make = loaded(DEVICES[name].adapter)
-    assert make is not None
-    with make(Hardware(address=address)) as adapter:
+    with adapter_class(name)(Hardware(address=address)) as adapter:
         with problems.status(f"measuring {name} for {seconds:g} s: move the handle"):
             measured = self_test(adapter, seconds=seconds)
         console.print(*_lines(measured), sep="\n")

@@ -148,7 +148,7 @@ def _plain_warnings() -> Iterator[None]:
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if category.__name__ != "PluginWarning":  # whose module help does without
+            if category.__name__ not in ("PluginWarning", "OldSceneWarning"):  # whose modules help does without
                 return others(message, category, *where, **more)
             from rich.markup import escape
 

@@ -242,7 +242,7 @@ def run(
     by_hand = live.web or live.slicer_drives
     loaded = _load(scene, overrides, live=live.live, by_hand=by_hand)
     seed = scene_options.seed
-    if seed is not None and (band.band is None or loaded.device != "none"):  # else it seeds the band alone
+    if seed is not None and (band.band is None or loaded.device is not None):  # else it seeds the band alone
         loaded = _load(scene, overrides | {"seed": seed}, live=live.live, by_hand=by_hand)
     _refuse_unused(loaded, engine, live=live.live)
     _check_band(loaded, band, live=live.live)
@@ -329,7 +329,7 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
 
 def _refuse_unused(scene: "Scene", engine: EngineOptions, *, live: bool) -> None:
     """Refuse options that the scene does not use."""
-    by_hand = scene.device != "none" or live
+    by_hand = scene.device is not None or live
     idle = engine.allow_unstable and not by_hand
     left_out("without a device", "set device = touch, or remove it", allow_unstable=idle)
     if scene.anatomy.kind in ("wall", "layers"):

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from meshes.base.errors import InputError
 from tissue.scene.named_parts import shown
-from tissue.scene.scene import Scene, is_file_key
+from tissue.scene.part import is_file_key
+from tissue.scene.scene import Scene
 from tissue.simulation.run_summary import Summary
 
 __all__ = ["path_note", "require_same_task", "scene_notes"]
@@ -20,8 +21,7 @@ NUMERICAL = frozenset(
                  "path", "basis_size", "interval_ms")
 )  # fmt: skip
 """Keys of these parts that change the computation and not the task."""
-FREE = ("name", "description", "seed", "device", "hand", "output", "renderer", "prediction", "perception",
-        "coupling", "hardware", "fidelity")  # fmt: skip
+FREE = ("name", "description", "seed", "device", "output", "fidelity")
 """Parts that may differ between a trainee and a reference without a word: who moves the tool, and by which device."""
 
 

@@ -40,12 +40,12 @@ def scene_stability(scene: Scene) -> StabilityMap:
     InputError
         If the scene has no device.
     """
-    if scene.device == "none":
+    if scene.device is None:
         raise InputError(
             f"device must be one of {', '.join(DEVICES)} for a stability map, got none: pass --set device=touch"
         )
     held = in_hands(
-        judged_loop(loop_settings(scene), step_s=TICK_S), [hand_parameters(scene.hand, scene.constants).grip[:3]]
+        judged_loop(loop_settings(scene), step_s=TICK_S), [hand_parameters(scene.held.hand, scene.constants).grip[:3]]
     )
     return stability_map(held[0])
 
@@ -55,7 +55,7 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
     chosen = found.chosen
     data = found.over_delay
     return [
-        f"{scene.device} in the hand of a person of the group {scene.hand}, {1e-3 / chosen.tick_s:g} kHz, "
+        f"{scene.held.kind} in the hand of a person of the group {scene.held.hand}, {1e-3 / chosen.tick_s:g} kHz, "
         f"{1e3 * chosen.delay_s:g} ms added to the hold, low-pass {1e3 * chosen.filter_s:g} ms",
         f"chosen: {found.verdict.sentence(chosen.stiffness_N_m)}",
         *(
@@ -86,7 +86,7 @@ def write_stability_files(scene: Scene, found: StabilityMap, folder: Path, *, ov
         If the folder is a file, or holds another map.
     """
     with owned_folder(folder, "map", FILES, overwrite=overwrite):
-        _draw_stability(found, folder / FILES[0], title=f"{scene.name}: {scene.device}, {scene.hand}")
+        _draw_stability(found, folder / FILES[0], title=f"{scene.name}: {scene.held.kind}, {scene.held.hand}")
         for name, data in zip(FILES[1:], (found.over_damping, found.over_delay), strict=True):
             lines = {f"{line.replace(' ', '_')}_N_m": values for line, values in data.lines_N_m.items()}
             columns = {data.along: data.values, "measured_N_m": data.measured_N_m, "exact_N_m": data.exact_N_m}

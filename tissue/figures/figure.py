@@ -155,10 +155,10 @@ def axis_names(run: "Run") -> tuple[str, ...]:
         return tuple("xyz")
     named = tuple(f"{c} ({meaning})" for c, meaning in zip("xyz", meanings, strict=True))
     bone = run.scene.bone
-    if bone.centre_mm is not None or bone.along is not None:
+    if getattr(bone, "centre_mm", None) is not None or getattr(bone, "along", None) is not None:
         return tuple("xyz")  # what was pointed at on a bone need not be its glenoid
     # On bone from a file x points forward or backward with the side of the body, which the file does not state.
-    return ("x", *named[1:]) if bone.file else named
+    return ("x", *named[1:]) if bone.from_file else named
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:

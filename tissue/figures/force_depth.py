@@ -241,11 +241,11 @@ def draw_wall(run: Run, path: Path) -> None:
     tool = run.scene.tool
     wall = run.scene.anatomy
     assert isinstance(tool, Probe) and isinstance(wall, WallAnatomy), wall.kind
-    radius = 0.5 * tool.diameter_mm
+    radius = 0.5 * tool.size_mm
     tips = trace.vectors("tool", "mm")
     device = trace.vectors("device", "mm") if "device_x_mm" in trace else None
     if device is not None:
-        device = tips[0] + run.scene.coupling.motion_scale * (device - tips[0])
+        device = tips[0] + run.scene.motion_scale * (device - tips[0])
     force = trace["model_force_z_N"]
     across = int(np.ptp(tips[:, :2], axis=0).argmax())
     chart = figure(8.0, 6.6)
@@ -288,6 +288,6 @@ def draw_wall(run: Run, path: Path) -> None:
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False, loc="upper left" if axes is felt else "upper right")
     felt.grid(axis="y", color="0.92", linewidth=0.6)
-    title = f"{run.scene.name}: {tool.diameter_mm:g} mm ball on a wall of {wall.stiffness_kN_m:g} kN/m"
+    title = f"{run.scene.name}: {tool.size_mm:g} mm ball on a wall of {wall.stiffness_kN_m:g} kN/m"
     chart.text(0.1, 0.965, title, va="center", size=10.5)
     save(chart, path)

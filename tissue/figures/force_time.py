@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.builders.force_met import chosen_scale
 from tissue.figures.figure import COMPONENTS, MAGNITUDE, SMALL_NM, figure, layer_colours, plain, save, styled
 from tissue.figures.tool_mesh import tool_turns
 from tissue.haptics.device.device import device_parameters
@@ -237,9 +238,10 @@ def draw_played(run: Run, path: Path) -> None:
     """Draw forces at the device [N], compressed spans, the greatest change at 1 ms, and tool and device [mm]."""
     trace = run.trace
     scene = run.scene
-    sizes = _sizes(trace, scene.force_scale)
+    scale, _ = chosen_scale(scene)
+    sizes = _sizes(trace, scale)
     time = trace["time_s"]
-    limits = device_parameters(scene.device, scene.constants)
+    limits = device_parameters(scene.held.kind, scene.constants)
     turns = bool(trace.vectors("device_torque", "Nm").any())
     chart = figure(8.0, 7.8 if turns else 6.6)
     panels = chart.subplots(3 + turns, 1, height_ratios=(2.4, 2.0, 1.5, 1.2)[: 3 + turns])
@@ -285,8 +287,8 @@ def draw_played(run: Run, path: Path) -> None:
     chart.align_ylabels(panels)
     handles, labels = panels[0].get_legend_handles_labels()
     chart.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.11, 0.95), ncols=2, frameon=False)
-    title = f"{scene.name}: what the {scene.device} played ({scene.hand}, {scene.renderer})"
-    chart.text(0.12, 0.965, f"{title}; {scene.force_scale:g} N for each newton at the tool", va="center", size=10.0)
+    title = f"{scene.name}: what the {scene.held.kind} played ({scene.held.hand}, {scene.held.renderer})"
+    chart.text(0.12, 0.965, f"{title}; {scale:g} N for each newton at the tool", va="center", size=10.0)
     save(chart, path)
 
 

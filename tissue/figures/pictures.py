@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
-from tissue.scene.named_parts import loaded
+from tissue.figures.force_depth import draw_insertion, draw_wall
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.tool import Needle
 from tissue.simulation.depth_map import depth_map
@@ -64,10 +64,11 @@ def draw_pictures(run: Run, folder: Path, kind: str = "png") -> list[str]:
             notes["press"] = draw_press(fields, run.trace, path("press"), title=scene.name, tool=tool, flat=flat)
             notes["held"] = shaded.result()
     draw_force_torque(run, path("force_torque"))
-    if scene.device != "none":
+    if scene.device is not None:
         draw_played(run, path("played"))
-    for name, draw in ANATOMIES[scene.anatomy.kind].pictures.items():
-        loaded(draw)(run, path(Path(name).stem))
+    built_in = {"layers": {"insertion": draw_insertion}, "wall": {"wall": draw_wall}}.get(scene.anatomy.kind, {})
+    for name, draw in {**built_in, **ANATOMIES[scene.anatomy.kind].pictures}.items():
+        draw(run, path(Path(name).stem))
     return [f"{name}.{kind} was not drawn: {note}" for name, note in notes.items() if note is not None]
 
 

@@ -24,6 +24,8 @@ POINT = 2.0
 SIDES = 72
 ARC = np.radians(270.0)
 """Length of the arc that shows the sense of a tool's spin."""
+ROD_MM = 40.0
+"""Length of a probe of another shape as it is drawn [mm]."""
 ABOVE = 0.6
 """How wide the arc above a tool is beside one around it."""
 
@@ -42,14 +44,14 @@ def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None
             outline = 1e3 * cutter_of(tool).profile.outline
             return _turned(np.column_stack([outline[:, 0], np.zeros(len(outline)), outline[:, 1]]))
         case Probe(kind="sphere-probe"):
-            radius = 0.5 * tool.diameter_mm
+            radius = 0.5 * tool.size_mm
             return pyvista.Sphere(radius=radius, center=(0.0, 0.0, radius), theta_resolution=SIDES, phi_resolution=36)
-        case Probe(file=str(file)):
+        case Probe() if tool.file_name:
             with suppress(InputError):
-                vertices, faces = read_triangles(Path(file))
-                return pyvista.PolyData.from_regular_faces(tool.scale_mm * vertices, faces.astype(int))
+                vertices, faces = read_triangles(Path(tool.file_name))
+                return pyvista.PolyData.from_regular_faces(tool.scale * vertices, faces.astype(int))
         case Probe():
-            return _rod(0.5 * tool.diameter_mm, tool.length_mm)
+            return _rod(0.5 * tool.size_mm, getattr(tool, "length_mm", ROD_MM))
         case Needle():
             return _rod(0.5 * tool.diameter_mm, NEEDLE_MM, point_mm=POINT * tool.diameter_mm)
     return None

@@ -131,7 +131,7 @@ def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[Array,
         update={
             "anatomy": BlockAnatomy(size_mm=(wide_mm, wide_mm, size_mm)),
             "voxels": Voxels(spacing_mm=1e3 * radius_m / VOXELS),
-            "tool": tool.model_copy(update={"peg_diameter_mm": 0.0, "peg_length_mm": 0.0, "shell_spacing_mm": None}),
+            "tool": tool.without_peg(),
             "cutting": Cutting(),
         }
     )

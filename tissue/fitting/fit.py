@@ -17,16 +17,12 @@ from tissue.fitting.organ_runs import KEYS
 from tissue.fitting.posterior import Posterior, maximum_posterior
 from tissue.fitting.target import OFFSET_S
 from tissue.materials.prior import Prior
-from tissue.scene.registry import ANATOMIES
+from tissue.scene.anatomy import CutAnatomy
+from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 
 __all__ = ["ConstantFit", "SceneFit", "fit_scene"]
 
-PROBLEMS = {
-    "tissue.builders.cutting:milled": cutting_problem,
-    "tissue.builders.organ_scene:pressed": organ_problem,
-}
-"""What a log of a scene is compared with, by what builds its tissue."""
 FITTED = "fit a scene of bone, a tooth or an organ"
 NUISANCES = ("density.", KEYS)
 """Beginnings of the names of what belongs to the specimen of a log, or is a key of its scene, and to no material."""
@@ -228,10 +224,10 @@ def fit_scene(
         If such a scene cannot be fitted, the tool never cuts along the log, or the log determines no constant.
     """
     report = progress or silent
-    build = ANATOMIES[scene.anatomy.kind].build
-    if build not in PROBLEMS:
+    if not isinstance(scene.anatomy, CutAnatomy | SoftAnatomy):
         raise InputError(f"scene must be one of tissue, got a {scene.anatomy.kind}: {FITTED}")
-    problem = PROBLEMS[build](scene, log, free, cores=cores, progress=report)
+    of_tissue = cutting_problem if isinstance(scene.anatomy, CutAnatomy) else organ_problem
+    problem = of_tissue(scene, log, free, cores=cores, progress=report)
     report("fitting", 0.8)
     posterior = maximum_posterior(problem.forward, problem.measured)
     found = identified(posterior)

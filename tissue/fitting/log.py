@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
-from tissue.builders.registry import motion_of
+from tissue.builders.motions import motion_of
 from tissue.fitting.columns import QUANTITIES, ColumnMap, parse_columns
 from tissue.fitting.log_files import LogColumns, read_columns
 from tissue.models.tissue_model import TICK_S

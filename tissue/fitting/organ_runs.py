@@ -15,6 +15,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
 from tissue.builders.organ import NODULE_KPA, PART_NODULE
+from tissue.builders.registry import builder_of
 from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.fitting.forward import Parameter, chosen
@@ -22,9 +23,7 @@ from tissue.materials.prior import Prior
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.replay import ReplayPoses
 from tissue.scene.load import changed
-from tissue.scene.named_parts import loaded
-from tissue.scene.organ import SlabAnatomy, SoftAnatomy
-from tissue.scene.registry import ANATOMIES
+from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion
 from tissue.scene.used_constants import used_constants
@@ -88,8 +87,7 @@ def _stated(scene: Scene) -> list[Parameter]:
     anatomy = scene.anatomy
     assert isinstance(anatomy, SoftAnatomy)
     parts = dict(organ.parts or {})
-    procedural = isinstance(anatomy, SlabAnatomy) or getattr(anatomy, "file", None) is None
-    if procedural and anatomy.nodule_diameter_mm > 0.0:
+    if anatomy.nodule_mm > 0.0:
         parts.setdefault(PART_NODULE, NODULE_KPA)
     found = {"organ.young_kPa": organ.young_kPa, "organ.young_end_kPa": organ.young_end_kPa}
     found |= {f"{PART}{name}": modulus for name, modulus in parts.items()}
@@ -204,8 +202,8 @@ def _loads(scene: Scene, poses: Poses, channels: tuple[str, ...], every: int, va
         stands_in = ReplayMotion(kind="replay", file="poses that were given")
         prompt = {"interval_ms": 0.0, "law_interval_ms": LAW_MS}
         organ = with_values.organ.model_copy(update=prompt)
-        ran = with_values.model_copy(update={"motion": stands_in, "device": "none", "duration_s": None, "organ": organ})
-        build = loaded(ANATOMIES[ran.anatomy.kind].build)
+        ran = with_values.model_copy(update={"motion": stands_in, "device": None, "duration_s": None, "organ": organ})
+        build = builder_of(ran.anatomy.kind)
         parts = build(ran, motion, step_s=TICK_S, compute="cpu", cores=1, report=silent)
     ticks = tick_count(ran, motion)
     loop = Loop(parts, ticks=ticks, output=ran.output)

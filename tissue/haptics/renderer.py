@@ -1,5 +1,6 @@
 """How a contact becomes a force: laws between a device and its proxy, behind one contract."""
 
+from collections.abc import Callable
 from math import inf, pi
 from typing import Protocol
 
@@ -155,4 +156,6 @@ def renderer(kind: str, loop: WallLoop) -> Renderer:
     InputError
         If the name is none of these.
     """
-    return RENDERERS[kind](loop)
+    built_in: dict[str, Callable[[WallLoop], Renderer]] = {"penalty": penalty, "passivity": passivity, "proxy": proxy}
+    make: Callable[[WallLoop], Renderer] = RENDERERS[kind] or built_in[kind]
+    return make(loop)

@@ -41,7 +41,7 @@ PLUNGE: Mapping[str, Mapping[str, object]] = {
 """Default at other sites: a ball burr goes in 2 mm along the normal."""
 HOLE = ("guide_hole_diameter_mm", "guide_hole_depth_mm")
 HEAD = ("duration_s", "device", "hand", "renderer", "prediction", "perception", "seed")
-TABLES = ("voxels", "tool", "motion", "cutting", "output", "coupling", "fidelity")
+TABLES = ("voxels", "tool", "motion", "cutting", "output", "device", "fidelity")
 REMARKS = {
     "file": "mm, in the frame of the image (LPS)",
     "density_file": "apparent density, kg/m3",

@@ -27,7 +27,7 @@ __all__ = ["organ_draft", "tooth_draft"]
 
 LIKE = "caries"
 """Scene whose tool and motion are taken for a tooth by default."""
-PARTS = ("voxels", "tool", "motion", "cutting", "output", "coupling", "duration_s", "device")
+PARTS = ("voxels", "tool", "motion", "cutting", "output", "duration_s", "device")
 MARGIN = 3
 """Voxels kept around the tooth."""
 FRONT = (0.0, -1.0, 0.0)

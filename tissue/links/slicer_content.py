@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.faces import faces_of
 from tissue.figures.tool_mesh import tool_surface
 from tissue.links import igtl_messages as igtl
 from tissue.links.slicer_frame import SlicerFrame
 from tissue.motion.motion import matrix_of
-from tissue.scene.named_parts import loaded
-from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.simulation.bone_surface import with_layers
 from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start
@@ -67,9 +66,7 @@ class SlicerContent:
             voxels[:3, :3] *= spacing_mm
             voxels[:3, 3] = 1e3 * self._start["origin_m"].astype(float) + 0.5 * spacing_mm
             messages.append(self._packed("IMAGE", IMAGE, igtl.image_body(density, self._frame.matrix @ voxels)))
-        faces = ANATOMIES[self._scene.anatomy.kind].faces
-        shown: dict[str, Any] = {} if faces is None else loaded(faces)(self._scene)
-        for name, face in shown.items():
+        for name, face in faces_of(self._scene).items():
             messages.append(self._packed("POLYDATA", f"tissue-{name}"[:20], self._mesh(face.triangulate())))
         return messages
 

@@ -54,7 +54,7 @@ def charts(trace: Table, scene: Scene | None) -> list[Record]:
         pale = [_line(f"{name}_{c}_{unit}", "", COMPONENTS[i], scale) | {"pale": True} for i, c in enumerate("xyz")]
         size = {"of": [f"model_{name}_{c}_{unit}" for c in "xyz"], "label": "magnitude", "scale": scale, "fill": True}
         drawn.append({"label": label, "tall": name == "force", "lines": [size, *pale, *lines]})
-    if scene is not None and scene.device != "none":
+    if scene is not None and scene.device is not None:
         drawn.append(_device(trace))
     cuts = bool((trace["removed_mm3"] > 0.0).any())
     drawn.append(_one("removal_rate_mm3_s" if cuts else "contact_mm2"))

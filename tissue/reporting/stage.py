@@ -13,6 +13,7 @@ from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from tissue.figures.faces import faces_of
 from tissue.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, field_colours, layer_colours
 from tissue.figures.organ_surface import with_normals
 from tissue.figures.tool_mesh import tool_turns, turning_tool
@@ -23,7 +24,7 @@ from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
 from tissue.simulation.trace import Table
 from tissue.simulation.vtk_files import mesh_in_scene
-from tissue.viewer.saved_surfaces import bone_of, cut_plane, faces_of, saved_fields, tool_force
+from tissue.viewer.saved_surfaces import bone_of, cut_plane, saved_fields, tool_force
 
 if TYPE_CHECKING:
     import pyvista
@@ -114,7 +115,7 @@ def _add_tool(record: Record, trace: Table, scene: Scene | None, around: Shown, 
     surface = turning_tool(scene.tool if scene is not None else None)
     poses = {"rows": rows.tolist(), "tool": packed_vectors(tips[rows]), "turns": packed_vectors(turns[rows])}
     if "device_x_mm" in trace and scene is not None:
-        device = tips[0] + scene.coupling.motion_scale * (trace.vectors("device", "mm") - tips[0])
+        device = tips[0] + scene.motion_scale * (trace.vectors("device", "mm") - tips[0])
         poses["device"] = packed_vectors(device[rows])
         if surface is not None:
             record["parts"].append({**_still(surface), "follows": "device", "colour": DEVICE, "opacity": 0.25,

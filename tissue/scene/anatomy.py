@@ -1,78 +1,100 @@
-"""What a scene states of the anatomy: procedural, or read from files."""
+"""Anatomies that cutters meet: bone and teeth, procedural or from files, each with the keys that shape it alone."""
 
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
+from pydantic import Field, Strict
 
-from meshes.base.errors import InputError
+from tissue.scene.choices import LAYERS
+from tissue.scene.part import FileName, Idle, Length_mm, Needs, Part, Vector
 
 __all__ = [
-    "AnatomyFile",
-    "BlockAnatomy",
-    "BoneAnatomy",
-    "GlenoidAnatomy",
-    "Length_mm",
-    "MolarAnatomy",
-    "Part",
-    "Vector",
-]
-
-Vector = Annotated[tuple[float, float, float], Strict(False)]
-SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
-Length_mm = Annotated[float, Field(ge=0.1, le=500)]
+    "BlockAnatomy", "BlockImage", "BlockSurface", "BoneImage", "BoneSurface", "CutAnatomy", "GlenoidAnatomy",
+    "GlenoidImage", "GlenoidSurface", "ImageAnatomy", "MolarAnatomy", "MolarLabels", "MolarSurfaces", "Part",
+    "SurfaceAnatomy", "Tooth", "VertebraAnatomy", "WallAnatomy"
+]  # fmt: skip
 
 
-class Part(BaseModel):
-    """A frozen part of a scene."""
+class CutAnatomy(Part):
+    """Bone or tooth that a cutter removes."""
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    kind: str
+
+    source: ClassVar[str] = "procedural"
+    """Origin of the shape, as messages call it."""
+    reads: ClassVar[tuple[str, ...]] = ("voxels", "cutting", "keep_clear")
+    """Tables of a scene that describe it."""
+
+    @property
+    def from_file(self) -> str | None:
+        """File of the whole shape; None for a procedural anatomy and for a tooth of one file a layer."""
+        file: str | None = getattr(self, "file", None)
+        return file
+
+    @property
+    def guide_hole_mm(self) -> tuple[float, float]:
+        """Diameter and depth of the guide hole [mm]; zeros without one."""
+        return getattr(self, "guide_hole_diameter_mm", 0.0), getattr(self, "guide_hole_depth_mm", 0.0)
 
 
-class AnatomyFile(Part):
-    """Bone read from a file instead of the procedural default."""
+class Drilled(CutAnatomy):
+    """Bone or tooth that may have a guide hole."""
 
-    file: str | None = Field(None, examples=["scapula.stl"])
-    """Surface (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF slices; empty uses the procedural bone."""
-    scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
-    """Millimetres per unit of a surface file; without it the unit is guessed and shown."""
+    guide_hole_diameter_mm: Annotated[float, Needs("anatomy.guide_hole_depth_mm")] = Field(0.0, ge=0, le=50)
+    """Diameter of a guide hole drilled along the tool's axis before the run; 0 drills no hole."""
+    guide_hole_depth_mm: Annotated[float, Needs("anatomy.guide_hole_diameter_mm")] = Field(0.0, ge=0, le=100)
+    """Depth of the guide hole under the face."""
+
+
+class Placed(Drilled):
+    """Bone in a file, turned and moved to its working face."""
+
+    file: FileName = Field(examples=["scapula.stl"])
+    """Surface (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF slices."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
     """Centre of the working face in the file's frame [mm]; without it that of a glenoid is searched for."""
-    normal: Vector | None = Field(None, examples=[(0.0, 0.0, 1.0)])
+    normal: Annotated[Vector | None, Needs("anatomy.centre_mm")] = Field(None, examples=[(0.0, 0.0, 1.0)])
     """Outward normal of the working face in the file's frame."""
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
     """Direction in the file's frame that becomes x, as far as it lies across the normal."""
+    cortical_thickness_mm: float = Field(1.5, gt=0, le=10)
+    """Thickness of the cortical shell under the surface of a bone from a file."""
+
+
+class SurfaceAnatomy(Placed):
+    """Bone in a surface file."""
+
+    source: ClassVar[str] = "from a surface"
+    scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
+    """Millimetres per unit of a surface file; without it the unit is guessed and shown."""
+
+
+class Image(Part):
+    """Image volume of which the voxels above a threshold are bone."""
+
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
     """Voxel edge of an image that does not state one, such as TIFF slices."""
     threshold: float | None = Field(None, ge=-1e9, le=1e9, examples=[200.0])
     """Image value above which a voxel is bone."""
-    cortical_thickness_mm: float = Field(1.5, gt=0, le=10)
-    """Thickness of the cortical shell laid under a surface from a file."""
-    guide_hole_diameter_mm: float = Field(0.0, ge=0, le=50)
-    """Diameter of a guide hole drilled along the tool's axis before the run; 0 drills none."""
-    guide_hole_depth_mm: float = Field(0.0, ge=0, le=100)
-    """Depth of the guide hole under the face."""
-
-    @property
-    def is_image(self) -> bool:
-        """Whether the bone comes from an image volume or a folder of slices, and from no surface."""
-        return self.file is not None and Path(self.file).suffix.lower() not in SURFACE_SUFFIXES
-
-    @field_validator("file", mode="before")
-    @classmethod
-    def _empty_is_none(cls, value: object) -> object:
-        return None if value == "" else value
 
 
-class GlenoidAnatomy(AnatomyFile):
-    """A glenoid: concave face with a subchondral plate over a trabecular vault. Origin at its centre, +z outward."""
+class ImageAnatomy(Placed, Image):
+    """Bone in an image volume."""
+
+    source: ClassVar[str] = "from an image"
+
+
+class Glenoid(Part):
+    """Glenoid."""
 
     kind: Literal["glenoid"] = "glenoid"
     """A glenoid."""
+
+
+class GlenoidAnatomy(Glenoid, Drilled):
+    """A glenoid: concave face with a subchondral plate over a trabecular vault. Origin at its centre, +z outward."""
+
     width_mm: float = Field(27.8, ge=20, le=34)
-    """Greatest width of the face, anterior to posterior."""
+    """Largest width of the face, anterior to posterior."""
     height_mm: float = Field(37.5, ge=28, le=45)
     """Height of the face, inferior to superior; at least 1.1 times its width."""
     curvature_radius_mm: float = Field(35.0, ge=22, le=80)
@@ -81,46 +103,99 @@ class GlenoidAnatomy(AnatomyFile):
     """Mean thickness of the subchondral plate."""
 
 
-class BlockAnatomy(AnatomyFile):
-    """A block of bone with its top face at z = 0."""
+class GlenoidSurface(Glenoid, SurfaceAnatomy):
+    """A glenoid on the surface of a scapula."""
+
+
+class GlenoidImage(Glenoid, ImageAnatomy):
+    """A glenoid in an image of a scapula."""
+
+
+class Block(Part):
+    """Block of bone of one density."""
 
     kind: Literal["block"] = "block"
     """A block, or the image in `file` as it is."""
+    density_kg_m3: float = Field(1800.0, ge=100, le=2500)
+    """Apparent density; 1800 to 2000 is cortical bone. Of a surface from a file the density of its shell."""
+
+
+class BlockAnatomy(Block, Drilled):
+    """A block of bone with its top face at z = 0."""
+
     size_mm: Annotated[tuple[Length_mm, Length_mm, Length_mm], Strict(False)] = (20.0, 12.0, 8.0)
     """Edge lengths along x, y and z."""
-    density_kg_m3: float = Field(1800.0, ge=100, le=2500)
-    """Apparent density; 1800 to 2000 is cortical bone. Of a surface from a file that of its shell."""
 
 
-class BoneAnatomy(AnatomyFile):
-    """A bone from a file, such as `tissue import` writes of a CT. Origin at the site on its surface, +z outward."""
+class BlockSurface(Block, SurfaceAnatomy):
+    """Bone of one density in its shell, from a surface at a site that the scene states."""
+
+
+class BlockImage(Block, ImageAnatomy):
+    """Bone from an image: at the site `centre_mm`, else the whole image as it is with its top at z = 0."""
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the bone is the whole block of the image, which no site turns or moves."""
+        return self.centre_mm is None
+
+    def idle(self) -> dict[str, Idle]:
+        """Return the keys without effect: an image as it is has no site."""
+        whole = Idle("for an image as it is, without anatomy.centre_mm", "set anatomy.centre_mm")
+        placing = ("along", "cortical_thickness_mm", "guide_hole_diameter_mm", "guide_hole_depth_mm")
+        return super().idle() | (dict.fromkeys(placing, whole) if self.is_whole else {})
+
+
+class Bone(Part):
+    """Bone at a site on its surface, its inside given by its density, by its core, or by a shell of even thickness."""
 
     kind: Literal["bone"] = "bone"
     """The bone in `file` at a site on its surface."""
-    density_file: str | None = Field(None, examples=["density.nrrd"])
+    density_file: FileName | None = Field(None, examples=["density.nrrd"])
     """Image of the apparent density [kg/m3] in the frame of `file`; layers follow from it."""
-    cortical_above_kg_m3: float = Field(1000.0, ge=300, le=2000)
+    cortical_above_kg_m3: Annotated[float, Needs("anatomy.density_file")] = Field(1000.0, ge=300, le=2000)
     """Apparent density from which bone of a `density_file` is cortical."""
-    articular_radius_mm: float = Field(0.0, ge=0, le=100)
+    articular_radius_mm: Annotated[float, Needs("anatomy.density_file")] = Field(0.0, ge=0, le=100)
     """Distance from the site within which dense bone near the surface is the subchondral plate; 0 for no joint."""
-    core_file: str | None = Field(None, examples=["cancellous.stl"])
+    core_file: Annotated[FileName | None, Needs("anatomy.density_file", is_absent=True)] = Field(
+        None, examples=["cancellous.stl"]
+    )
     """Closed surface around the trabecular bone, in the frame of `file`."""
-
-    @model_validator(mode="after")
-    def _has_its_file(self) -> "BoneAnatomy":
-        if self.file is None:
-            raise InputError("anatomy.file must be given for a bone, got nothing: add its surface, or use kind = block")
-        return self
+    cortical_thickness_mm: Annotated[
+        float, Needs("anatomy.density_file", is_absent=True), Needs("anatomy.core_file", is_absent=True)
+    ] = Field(1.5, gt=0, le=10)
+    """Thickness of the cortical shell under the surface."""
 
 
-class MolarAnatomy(AnatomyFile):
+class BoneSurface(Bone, SurfaceAnatomy):
+    """A bone from a surface, as `tissue import` writes of a CT. Origin at the site on its surface, +z outward."""
+
+
+class BoneImage(Bone, ImageAnatomy):
+    """A bone from an image. Origin at the site on its surface, +z outward."""
+
+
+class Tooth(CutAnatomy):
+    """Tooth in its socket. Origin at the bottom of the central fossa, +z out of the tooth."""
+
+    reads: ClassVar[tuple[str, ...]] = (*CutAnatomy.reads, "stress", "heat")
+    kind: Literal["molar"] = "molar"
+    """A molar."""
+    ligament_thickness_mm: float = Field(0.22, ge=0.1, le=0.5)
+    """Thickness of the periodontal ligament; of a tooth from files it counts for the stress alone."""
+
+    @property
+    def layer_files(self) -> dict[str, str]:
+        """Surface file of each layer that has one."""
+        return {}
+
+
+class MolarAnatomy(Tooth, Drilled):
     """A molar in its socket. Origin at the bottom of the central fossa, +z out of the tooth.
 
     Real teeth come from one surface a layer (`enamel_file` ...), or from a label volume (`file` with `spacing_mm`).
     """
 
-    kind: Literal["molar"] = "molar"
-    """A molar."""
     crown_width_mm: float = Field(11.0, ge=9, le=13)
     """Mesiodistal size of the crown."""
     crown_length_mm: float = Field(10.5, ge=8.5, le=12.5)
@@ -129,29 +204,88 @@ class MolarAnatomy(AnatomyFile):
     """Enamel over the highest cusp; 62 % of it in the fossa."""
     pulp_roof_mm: float = Field(5.0, ge=3.5, le=6.5)
     """Depth of the pulp chamber's roof below the fossa."""
-    ligament_thickness_mm: float = Field(0.22, ge=0.1, le=0.5)
-    """Thickness of the periodontal ligament."""
     caries_depth_mm: float = Field(0.0, ge=0, le=6)
     """Depth of a lesion under the fossa; 0 is a sound tooth."""
-    caries_diameter_mm: float = Field(3.0, gt=0, le=8)
+    caries_diameter_mm: Annotated[float, Needs("anatomy.caries_depth_mm")] = Field(3.0, gt=0, le=8)
     """Width of the lesion."""
-    enamel_file: str | None = Field(None, examples=["enamel.stl"])
-    """Closed surface of the enamel, in one frame with the other layers."""
-    dentin_file: str | None = Field(None, examples=["dentin.stl"])
-    """Closed surface of the dentin."""
-    pulp_file: str | None = Field(None, examples=["pulp.stl"])
-    """Closed surface of the pulp."""
-    caries_file: str | None = Field(None, examples=["caries.stl"])
-    """Closed surface of a lesion."""
-    ligament_file: str | None = Field(None, examples=["ligament.stl"])
-    """Closed surface of the periodontal ligament."""
+
+
+class ToothSite(Tooth):
+    """Tooth from files, at the site where the tool comes in."""
+
     site: Literal["enamel", "caries"] = "enamel"
     """Where the tool comes in: down the axis of a tooth from files, or straight over its lesion."""
+
+
+class MolarSurfaces(ToothSite, Drilled):
+    """A tooth from one closed surface a layer, all in one frame."""
+
+    source: ClassVar[str] = "from surfaces"
+    scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
+    """Millimetres per unit of the surface files; without it the unit is guessed and shown."""
+    enamel_file: FileName | None = Field(None, examples=["enamel.stl"])
+    """Closed surface of the enamel, in one frame with the other layers."""
+    dentin_file: FileName | None = Field(None, examples=["dentin.stl"])
+    """Closed surface of the dentin."""
+    pulp_file: FileName | None = Field(None, examples=["pulp.stl"])
+    """Closed surface of the pulp."""
+    caries_file: FileName | None = Field(None, examples=["caries.stl"])
+    """Closed surface of a lesion."""
+    ligament_file: FileName | None = Field(None, examples=["ligament.stl"])
+    """Closed surface of the periodontal ligament."""
     socket_mm: float = Field(0.0, ge=0, le=10)
     """Bone laid around the ligament of a tooth from surfaces."""
 
     @property
     def layer_files(self) -> dict[str, str]:
         """Surface file of each layer that has one."""
-        names = ("enamel", "dentin", "pulp", "caries", "ligament")
-        return {name: file for name in names if (file := getattr(self, f"{name}_file")) is not None}
+        files = {name: getattr(self, f"{name}_file") for name in LAYERS}
+        return {name: file for name, file in files.items() if file is not None}
+
+
+class MolarLabels(ToothSite):
+    """A tooth from a label volume."""
+
+    source: ClassVar[str] = "from labels"
+    file: FileName = Field(examples=["labels.nii.gz"])
+    """Label volume of the layers."""
+    spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
+    """Voxel edge of a volume that does not state one, such as TIFF slices."""
+
+
+class VertebraAnatomy(Drilled):
+    """A lumbar vertebra. Origin behind its left pedicle, +z outward along the pedicle's axis, +y up.
+
+    Its structure `canal`, for `keep_clear.names`, lies at +x.
+    """
+
+    kind: Literal["vertebra"] = "vertebra"
+    """A lumbar vertebra, L4 by default."""
+    body_width_mm: float = Field(48.0, ge=36, le=60)
+    """Width of the body."""
+    body_depth_mm: float = Field(34.5, ge=26, le=45)
+    """Depth of the body, front to back."""
+    body_height_mm: float = Field(25.0, ge=20, le=34)
+    """Height of the body."""
+    canal_width_mm: float = Field(25.4, ge=16, le=32)
+    """Width of the spinal canal."""
+    canal_depth_mm: float = Field(18.6, ge=11, le=26)
+    """Depth of the spinal canal, front to back."""
+    pedicle_width_mm: float = Field(12.9, ge=5, le=22)
+    """Width of the pedicle; more than three times its cortex."""
+    pedicle_height_mm: float = Field(14.8, ge=8, le=22)
+    """Height of the pedicle."""
+    pedicle_angle_deg: float = Field(17.7, ge=0, le=35)
+    """Angle by which the pedicle leans to the middle toward the front."""
+    pedicle_cortex_mm: float = Field(1.0, ge=0.3, le=3)
+    """Thickness of the cortex of pedicle and arch."""
+
+
+class WallAnatomy(Part):
+    """A stiff wall with its face at z = 0, for a ball to be pushed against."""
+
+    reads: ClassVar[tuple[str, ...]] = ()
+    kind: Literal["wall"] = "wall"
+    """A wall."""
+    stiffness_kN_m: float = Field(10.0, ge=1, le=40)
+    """Stiffness of the wall, without friction or damping."""

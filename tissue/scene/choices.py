@@ -1,33 +1,27 @@
 """Marks by which a scene's keys take their choices from tables of named parts."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Generic, TypeVar, get_args
 
 from meshes.base.errors import InputError
-from tissue.scene.named_parts import Registry, loaded
+from tissue.scene.named_parts import Registry, shown
 from tissue.scene.plugins import ask_packages, refusal
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, GetCoreSchemaHandler, ValidatorFunctionWrapHandler
     from pydantic_core import CoreSchema
 
-__all__ = ["ByKind", "OneOf", "kinds_of"]
+__all__ = ["LAYERS", "SURFACE_SUFFIXES", "ByKind", "OneOf", "kinds_of"]
+
+SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
+"""Ends of the names of surface files; a file of any other name is an image, or a folder of its slices."""
+LAYERS = ("enamel", "dentin", "pulp", "caries", "ligament")
+"""Layers of a tooth that have a surface of their own."""
 
 T = TypeVar("T")
-
-
-class OfKind(Protocol):
-    """An entry of a table of parts that a scene states, with the class of the part."""
-
-    @property
-    def parameters(self) -> "type[BaseModel] | str":
-        """The class, or where it lies."""
-        ...
-
-
-K = TypeVar("K", bound=OfKind)
 
 
 @dataclass(frozen=True)
@@ -76,53 +70,85 @@ def _fault(group: str, name: str, sentence: str) -> Exception:
 
 
 def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
-    """The kinds that a part of a scene describes, of those known so far."""
+    """Return the kinds that a part of a scene describes, of those known so far."""
     field = part.model_fields["kind"]
     return next((each.known for each in field.metadata if isinstance(each, OneOf)), get_args(field.annotation))
 
 
-@dataclass(frozen=True)
-class ByKind(Generic[K]):
-    """Marks a union of parts of a scene, of which the key ``kind`` chooses one; with a table, those of its entries.
+SOURCES = {
+    "": ("procedural",),
+    "layers": ("from surfaces", "procedural"),
+    "surface": ("from a surface", "from a file", "from labels"),
+    "image": ("from an image", "from labels", "from a file"),
+}
+"""Sources of a shape by what a table of it holds, the first that its kind knows is meant."""
 
-    An entry of such a table has the class of the part as ``parameters``.
+
+def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
+    """Return the sources that a table of a shape can mean, by its files."""
+    file = table.get("file")
+    if not isinstance(file, str):
+        has_layers = any(f"{layer}_file" in table for layer in LAYERS)
+        return SOURCES["layers" if has_layers else ""]
+    return SOURCES["surface" if Path(file).suffix.lower() in SURFACE_SUFFIXES else "image"]
+
+
+@dataclass(frozen=True)
+class ByKind:
+    """Mark of a union of tables, of which the key ``kind`` chooses one, and of those with several the source.
+
+    Attributes
+    ----------
+    parts
+        Returns the tables that are known so far.
+    groups
+        Groups of entry points that offer more of them.
     """
 
-    table: Registry[K] | None = None
+    parts: "Callable[[], tuple[type[BaseModel], ...]]"
+    groups: tuple[str, ...]
 
-    def parts(self, union: object) -> "tuple[type[BaseModel], ...]":
-        """The parts so far."""
-        if self.table is None:
-            return get_args(union)
-        return tuple(loaded(self.table[name].parameters) for name in self.table.known)
-
-    def _choices(self, union: object) -> "dict[str, type[BaseModel]]":
-        """The part of each kind so far."""
-        return {kind: part for part in self.parts(union) for kind in kinds_of(part)}
-
-    def _groups(self, union: object) -> list[str]:
-        """Groups of entry points that offer more kinds."""
-        if self.table is not None:
-            return [self.table.group]
-        marks = [mark for part in get_args(union) for mark in part.model_fields["kind"].metadata]
-        return [mark.table.group for mark in marks if isinstance(mark, OneOf)]
+    def chosen(self, table: Mapping[str, object]) -> "type[BaseModel] | None":
+        """Return the table class that entries with a kind mean; None for an unknown kind."""
+        variants = [part for part in self.parts() if table.get("kind") in kinds_of(part)]
+        for source in source_of(table):
+            for part in variants:
+                if getattr(part, "source", "") == source:
+                    return part
+        return variants[0] if variants else None
 
     def __get_pydantic_core_schema__(self, source: object, handler: "GetCoreSchemaHandler") -> "CoreSchema":
         from pydantic_core import core_schema
 
-        choices = {kind: handler.generate_schema(part) for kind, part in self._choices(source).items()}
+        parts = self.parts()
+        choices = {part.__name__: handler.generate_schema(part) for part in parts}
+
+        def tag(value: object) -> str | None:
+            """Return the name of the class that a table means; an unknown kind as it is."""
+            if not isinstance(value, Mapping):
+                return type(value).__name__
+            kind = value.get("kind")
+            part = self.chosen(value)
+            if part is not None:
+                return part.__name__
+            return None if kind is None else shown(kind)
 
         def check(value: object, validate: "ValidatorFunctionWrapHandler") -> object:
             """Ask installed packages for a kind that is not known; from then on it is."""
-            kind = value.get("kind") if isinstance(value, Mapping) else None
-            if not isinstance(kind, str) or kind in choices:
+            if not isinstance(value, Mapping):
                 return validate(value)
-            for group in self._groups(source):
+            if value.get("file") == "":
+                value = {name: each for name, each in value.items() if name != "file"}
+            kind = value.get("kind")
+            known = {each for part in parts for each in kinds_of(part)}
+            if not isinstance(kind, str) or kind in known:
+                return validate(value)
+            for group in self.groups:
                 ask_packages(group)
                 if sentence := refusal(group, kind):
                     raise _fault(group, kind, sentence)
-            part = self._choices(source).get(kind)
+            part = self.chosen(value)
             return validate(value) if part is None else part.model_validate(value)
 
-        union = core_schema.tagged_union_schema(choices, discriminator="kind")
+        union = core_schema.tagged_union_schema(choices, discriminator=tag)
         return core_schema.no_info_wrap_validator_function(check, union)

@@ -1,23 +1,18 @@
-"""What a scene states of the device in a person's hand, and of the wall that shows what the device can do."""
+"""A scene's haptic device: whose hand holds it, how it is coupled to the tool, and what is done to its force."""
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
-from tissue.scene.anatomy import Part
+from tissue.scene.anatomy import WallAnatomy
 from tissue.scene.choices import OneOf
-from tissue.scene.registry import DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS
+from tissue.scene.hardware import Hardware
+from tissue.scene.names import DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS
+from tissue.scene.part import FileName, Part, Rule
 
-__all__ = [
-    "Coupling", "DeviceName", "Fidelity", "HandName", "PerceptionName", "PredictionName", "RendererName", "WallAnatomy",
-]  # fmt: skip
-
-DeviceName = Annotated[str, OneOf(DEVICES, ("none",))]
-HandName = Annotated[str, OneOf(HANDS)]
-RendererName = Annotated[str, OneOf(RENDERERS)]
-PredictionName = Annotated[str, OneOf(PREDICTORS, ("none",))]
-PerceptionName = Annotated[str, OneOf(PERCEPTIONS, ("none",))]
+__all__ = ["Coupling", "Device", "Fidelity", "WallAnatomy"]
 
 
 class Coupling(Part):
@@ -39,10 +34,43 @@ class Coupling(Part):
     """Time for which one answer of the tissue holds, in whole ticks; 10 is a model at 100 Hz."""
     prediction_gain: float = Field(1.0, ge=0, le=2)
     """C of F + C (F_ahead - F): 0 plays the present force, 1 the one that is predicted."""
-    predictor_file: str = ""
+    predictor_file: FileName = ""
     """Trained predictor, as `tissue train` writes it; empty for the scene's own."""
     roam_mm: float | None = Field(None, ge=0, le=100, examples=[8.0])
     """How far around the scripted motion tissue is made ready for the tool; without it 2 mm on an organ, else none."""
+
+
+class Device(Part):
+    """A haptic device by which a hand moves the tool. Without this table the motion moves the tool."""
+
+    kind: Annotated[str, OneOf(DEVICES)] = Field(examples=["touch"])
+    """Name of the device."""
+    hand: Annotated[str, OneOf(HANDS)] = "expert"
+    """Whose hand holds the device."""
+    renderer: Annotated[str, OneOf(RENDERERS)] = "proxy"
+    """Law by which the device plays what the tool meets."""
+    prediction: Annotated[str, OneOf(PREDICTORS, ("none",))] = "none"
+    """What predicts the device's force ahead of latency and slow models."""
+    perception: Annotated[str, OneOf(PERCEPTIONS, ("none",))] = "none"
+    """For whom the device's force is scaled: none, population, or observer:FILE, as `tissue calibrate` writes it."""
+    coupling: Coupling = Coupling()
+    """How the device is coupled to the tool."""
+    hardware: Hardware = Hardware()
+    """Where a real device is, how its axes lie in the scene, and what protects the hand that holds it."""
+
+    def rules(self) -> Iterator[Rule]:
+        """Yield the rules of what the device and the prediction do not use."""
+        entry = DEVICES[self.kind]
+        has_torque = entry.numbers.get("torque_limit_Nm", 0.0) > 0.0
+        is_trained = self.prediction != "none" and PREDICTORS[self.prediction].trained
+        simulated = f"with device = {self.kind}, which no adapter opens"
+        koopman = "set prediction = koopman"
+        yield "hardware", not entry.has_adapter, simulated, "set device = haply"
+        yield "coupling.stiffness_Nm_rad", not has_torque, "with a device that plays no torque", "set device = six-dof"
+        yield "coupling.prediction_gain", self.prediction == "none", "without a prediction", koopman
+        hold = "with prediction = hold, the present force"
+        yield "coupling.prediction_gain", self.prediction == "hold", hold, koopman
+        yield "coupling.predictor_file", not is_trained, "unless a trained prediction is used", koopman
 
 
 class Fidelity(Part):
@@ -58,12 +86,3 @@ class Fidelity(Part):
         if self.force_error is None and self.tick_ms is None:
             raise InputError("fidelity must ask for something, got nothing: use force_error = 0.03 or tick_ms = 0.7")
         return self
-
-
-class WallAnatomy(Part):
-    """A stiff wall with its face at z = 0, for a ball to be pushed against."""
-
-    kind: Literal["wall"] = "wall"
-    """A wall."""
-    stiffness_kN_m: float = Field(10.0, ge=1, le=40)
-    """Stiffness of the wall, without friction or damping."""

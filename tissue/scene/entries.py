@@ -1,155 +1,133 @@
-"""What the tables of `tissue.scene.registry` hold of a part."""
+"""What the tables of named parts hold of a part. Factories of built-in parts lie in the packages above."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import Any
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    import pyvista
-
-    from meshes.voxels.volume import VoxelVolume
-    from tissue.builders.parts import TissueBuilder
-    from tissue.cutters.profile import Profile
-    from tissue.haptics.device.device import Device
-    from tissue.hardware.adapter import HardwareAdapter
-    from tissue.models.organ.probe import ProbeShape
-    from tissue.motion.motion import Motion
-    from tissue.motion.quaternion import Triple
-    from tissue.prediction.predictor import Predictor
-    from tissue.prediction.trained import Trained
-    from tissue.scene.anatomy import Part
-    from tissue.scene.hardware import Hardware
-    from tissue.scene.scene import Scene
-    from tissue.scene.tool import Probe
-    from tissue.simulation.run import Run
+from tissue.scene.part import Part
 
 __all__ = ["AnatomyEntry", "CutterEntry", "DeviceEntry", "MotionEntry", "PredictorEntry", "ProbeEntry"]
+
+Factory = Callable[..., Any]
 
 
 @dataclass(frozen=True)
 class AnatomyEntry:
-    """What a table holds of a tissue.
+    """A tissue.
 
     Attributes
     ----------
     parameters
-        What a scene states of it: a part whose ``kind`` is the entry's name.
+        Tables that a scene may state of it, whose ``kind`` is the entry's name, by the source of its shape.
     tool
-        The part that describes the tools that it meets.
-    build
-        Makes the parts of a run.
-    force_N
-        Estimates the largest force that the tool meets on a scene's scripted motion [N], from which the scale of forces
-        at a device is chosen; without it, or where it gives 0, forces pass as they are.
-    pictures
-        Draw what only this tissue has into a file each of a run's pictures, by the file's name.
-    faces
-        The faces that a window shows of a tissue that is neither voxels nor a mesh.
-    voxels
-        The voxels that a tool mills, as a scene describes them.
+        The table that describes the tools that it meets.
+    build, force_N, pictures, faces
+        Of a part from outside, see `tissue.register`: what makes the parts of a run, estimates the largest force on a
+        scene's scripted motion [N], draws pictures of a run by their files' names, and returns the faces in a window.
     """
 
-    parameters: "type[Part] | str"
-    tool: "type[Part] | str"
-    build: "TissueBuilder | str"
-    force_N: "Callable[[Scene], float] | str | None" = None
-    pictures: "Mapping[str, Callable[[Run, Path], None] | str]" = field(default_factory=dict)
-    faces: "Callable[[Scene], dict[str, pyvista.PolyData]] | str | None" = None
-    voxels: "Callable[[Scene], VoxelVolume] | str | None" = None
+    parameters: "tuple[type[Part], ...] | type[Part]"
+    tool: type[Part]
+    build: Factory | None = None
+    force_N: Factory | None = None
+    pictures: Mapping[str, Factory] = field(default_factory=dict)
+    faces: Factory | None = None
+
+    @property
+    def variants(self) -> tuple[type[Part], ...]:
+        """Tables that a scene may state of it."""
+        return self.parameters if isinstance(self.parameters, tuple) else (self.parameters,)
 
 
 @dataclass(frozen=True)
 class CutterEntry:
-    """What a table holds of a cutter.
+    """A cutter.
 
     Attributes
     ----------
     profile
-        Its half section from ``diameter_m`` and what else shapes it: ``length_m`` of ``length_mm``, ``point_angle_rad``
-        of ``point_angle_deg``.
+        Of a part from outside: its half section from ``diameter_m`` and what else shapes it, ``length_m`` of
+        ``length_mm``, ``point_angle_rad`` of ``point_angle_deg``.
     keys
-        Those of the tool's keys that shape this cutter beside its diameter.
+        Keys of the tool that shape it, next to its diameter.
     """
 
-    profile: "Callable[..., Profile] | str"
+    profile: Factory | None = None
     keys: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class ProbeEntry:
-    """What a table holds of a probe.
+    """A probe.
 
     Attributes
     ----------
     make
-        Makes one of what a scene states of it.
+        Of a part from outside: makes a probe of what a scene states of it.
     keys
-        Those of the tool's keys that shape this probe.
+        Keys of the tool that shape it.
     """
 
-    make: "Callable[[Probe], ProbeShape] | str"
-    keys: tuple[str, ...]
+    make: Factory | None = None
+    keys: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class MotionEntry:
-    """What a table holds of a motion.
+    """A motion.
 
     Attributes
     ----------
     parameters
-        What a scene states of it: a part whose ``kind`` is the entry's name.
+        Table that a scene states of it, whose ``kind`` is the entry's name.
     make
-        Makes one of that, for ticks of so many seconds.
+        Of a part from outside: makes a motion of that table, for ticks of so many seconds.
     """
 
-    parameters: "type[Part] | str"
-    make: "Callable[..., Motion] | str"
+    parameters: type[Part]
+    make: Factory | None = None
 
 
 @dataclass(frozen=True)
 class DeviceEntry:
-    """What a table holds of a haptic device.
+    """A haptic device.
 
     Attributes
     ----------
     numbers
-        Those of `tissue.haptics.device.device.DeviceParameters` by their names: what judges and simulates it.
+        Values of `tissue.haptics.device.device.DeviceParameters` by their names, which judge and simulate it.
     make
-        Opens the real one, from where the tool starts in the scene [m]; without it a simulated one is held.
-    adapter
-        The real one in its own frame, made of the scene's ``hardware``; a `tissue.hardware.mapped.MappedDevice` turns
-        it into the scene's. Its class has ``find()``, which returns a list of `tissue.hardware.adapter.FoundDevice`.
+        Of a part from outside: opens the real device, from where the tool starts in the scene [m].
+    has_adapter
+        Whether `tissue.hardware` opens the real device.
     """
 
     numbers: Mapping[str, float]
-    make: "Callable[[Triple], Device] | str | None" = None
-    adapter: "Callable[[Hardware], HardwareAdapter] | str | None" = None
+    make: Factory | None = None
+    has_adapter: bool = False
 
     @property
     def is_real(self) -> bool:
         """Whether a real device can be opened."""
-        return self.make is not None or self.adapter is not None
+        return self.make is not None or self.has_adapter
 
 
 @dataclass(frozen=True)
 class PredictorEntry:
-    """What a table holds of a predictor.
+    """A predictor.
 
     Attributes
     ----------
     make
-        Makes one from what was trained for the scene, None for one that is not trained, and the device's greatest force
-        [N].
+        Of a part from outside: makes a predictor from what was trained for the scene, None for one that is not trained,
+        and the device's largest force [N].
     trained
         Whether it needs what `tissue train` writes.
     colour, marker
-        Its own in charts, as matplotlib has them.
+        Its colour and marker in charts, as matplotlib has them.
     """
 
-    make: "Callable[[Trained | None, float], Predictor] | str"
+    make: Factory | None = None
     trained: bool = False
     colour: str = "#D55E00"
     marker: str = "*"

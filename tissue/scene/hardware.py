@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
-from tissue.scene.anatomy import Part, Vector
+from tissue.scene.part import Part, Vector
 
 __all__ = ["Hardware"]
 

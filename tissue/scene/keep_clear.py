@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field, StringConstraints, model_validator
 
 from meshes.base.errors import InputError
-from tissue.scene.anatomy import Part
+from tissue.scene.part import Part
 
 __all__ = ["KeepClear"]
 

@@ -1,31 +1,31 @@
 """Read a scene from a built-in name or a TOML file, with overrides, or raise one sentence on what is wrong."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from meshes.base.errors import InputError
-from meshes.base.file_version import package_version, require_version
+from meshes.base.file_version import package_version
 from meshes.base.text_tables import DEEPEST, read_toml, require_shallow
-from tissue.scene.messages import sentence
+from tissue.scene.convert import FORMAT, converted, full_key
+from tissue.scene.messages import idle_keys, sentence
 from tissue.scene.named_parts import nearest, shown
+from tissue.scene.part import is_file_key
 from tissue.scene.plugins import refusal
 from tissue.scene.registry import PERCEPTIONS, SCENES
-from tissue.scene.scene import PARTS_WITH_FILES, Scene, is_file_key
-from tissue.scene.unused_keys import refused_keys, require_used
+from tissue.scene.scene import Scene
 
 __all__ = ["changed", "library_names", "load_scene", "parse_override", "saved_text", "scene_names", "scene_text"]
 
-FORMAT = 1
-"""Version of a scene's file; one that states none is of the first."""
-KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
-"""What every scene that a run kept held before its file stated its version: every default."""
-REMOVED = {"organ": {"law_method": "offset", "law_basis_size": 40, "law_sampling_error": 0.02}}
-"""Keys of version 0.2 that are gone, with their defaults, by the part of a scene that held them."""
+PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
+"""Tables of a scene with keys that name files."""
+REPLACED = "touch"
+"""Device that stands for the mouse of a live session where a scene has none but states how one is coupled."""
 
 
 def library_names() -> list[str]:
@@ -65,7 +65,8 @@ def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None
     source
         Name of a scene, see `scene_names`, or path of a TOML file.
     overrides
-        Values by dotted key, such as ``{"voxels.spacing_mm": 0.2}``. What one of them makes of no effect is left out.
+        Values by dotted key, such as ``{"voxels.spacing_mm": 0.2}``; ``device``, ``hand``, ``coupling.delay_ms`` and
+        other keys of the device may be given without the table's name. What one of them makes of no effect is left out.
     live
         Whether a mouse replaces the device of a scene without one.
 
@@ -91,29 +92,11 @@ def load_scene(source: str | Path, overrides: Mapping[str, object] | None = None
             f"scene must be valid TOML, got {message[:1].lower()}{message[1:]} in {path}: mend it there"
         ) from None
     _require_no_nul(table)
-    kept = "tissue" in table or ("format" not in table and table.keys() >= KEPT)
-    written = {"format": 1} | {name: table.pop(name) for name in ("format", "tissue") if name in table}
-    require_version("scene", written, FORMAT, where=path, remedy="leave format out")
-    if kept:
-        _drop_removed(table)
-        table = _without_defaults(table)
-    for part in PARTS_WITH_FILES:
-        inner = table.get(part)
-        if not isinstance(inner, dict):
-            continue
-        for name, value in inner.items():
-            if is_file_key(name) and isinstance(value, str) and value:
-                inner[name] = str((folder / value).resolve())
-    clear = table.get("keep_clear")
-    if isinstance(clear, dict) and isinstance(files := clear.get("files"), dict):
-        clear["files"] = {k: str((folder / v).resolve()) if isinstance(v, str) else v for k, v in files.items()}
-    if isinstance(given := table.get("materials"), str) and given:
-        table["materials"] = str((folder / given).resolve())
-    if isinstance(person := table.get("perception"), str):
-        table["perception"] = PERCEPTIONS.with_file_at(person, folder)
-    scene = _replaced(table, overrides or {})
-    require_used(scene.model_copy(update={"device": "touch"}) if live and scene.device == "none" else scene)
-    return scene.with_files_at(Path.cwd())
+    table, was_kept = converted(table, path)
+    table = _absolute(table, folder)
+    if was_kept:
+        table = _without_idle(table)
+    return _replaced(table, overrides or {}, live=live)
 
 
 def saved_text(scene: Scene) -> str:
@@ -132,8 +115,8 @@ def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
     return _replaced(scene.model_dump(exclude_unset=True), overrides)
 
 
-def _replaced(table: dict[str, object], overrides: Mapping[str, object]) -> Scene:
-    """The scene of a table with other values by dotted key, without what only they make of no effect.
+def _replaced(table: dict[str, Any], overrides: Mapping[str, object], *, live: bool = False) -> Scene:
+    """Return the scene of a table with other values by dotted key, without what only they make of no effect.
 
     A file's own key that has no effect even without them stays, and so does one of theirs: both are faults.
     """
@@ -142,26 +125,77 @@ def _replaced(table: dict[str, object], overrides: Mapping[str, object]) -> Scen
     except RecursionError:
         raise InputError(f"values must not nest more than {DEEPEST} lists, got more: write the value plainly") from None
     _require_no_nul(overrides)
-    faults = _table_faults(table) if overrides else None
+    if not overrides:
+        return _validated(table)
+    already_idle = _idle_keys(table)
     placed = deepcopy(table)
+    full = {
+        full_key(key, value): None if (key, value) == ("device", "none") else value for key, value in overrides.items()
+    }
     # A new kind starts its part afresh, so kinds go first, in whatever order they were given.
-    for key, value in sorted(overrides.items(), key=lambda item: not item[0].endswith(".kind")):
-        _place(placed, key, value)
-    scene = _validated(placed)
-    if faults is None:
-        return scene
-    for key in set(refused_keys(scene)) - faults:
-        if not any(key == asked or key.startswith(f"{asked}.") or asked.startswith(f"{key}.") for asked in overrides):
-            _drop(placed, key)
-    return _validated(placed)
+    for key, value in sorted(full.items(), key=lambda item: item[0] != "device" and not item[0].endswith(".kind")):
+        _place(placed, key, _absolute(value, Path.cwd(), key))
+    if live and "device" not in table and full.keys() & {"seed", *(key for key in full if key.startswith("device."))}:
+        placed.setdefault("device", {}).setdefault("kind", REPLACED)
+    asked_of_device = placed.get("device") or {"kind": ""}
+    if "kind" not in asked_of_device and all(value == "none" for value in asked_of_device.values()):
+        del placed["device"]  # no prediction and no perception ask for no device
+    if already_idle is None:
+        return _validated(placed)
+
+    def is_theirs(key: str) -> bool:
+        return any(key == asked or key.startswith(f"{asked}.") or asked.startswith(f"{key}.") for asked in full)
+
+    return _validated(_without_idle(placed, keep=lambda key: key in already_idle or is_theirs(key)))
 
 
-def _table_faults(table: Mapping[str, object]) -> set[str] | None:
-    """Keys of a table by itself that have no effect; None where it is no scene yet, so that nothing is known."""
+def _without_idle(table: dict[str, Any], keep: Callable[[str], bool] = lambda key: False) -> dict[str, Any]:
+    """Return a table without the keys that have no effect in it, but those to keep."""
+    left = deepcopy(table)
+    while dropped := [key for key in _idle_of(left) if not keep(key)]:
+        for key in dropped:
+            _drop(left, key)
+    return left
+
+
+def _idle_keys(table: dict[str, Any]) -> set[str] | None:
+    """Return the keys of a table by itself that have no effect; None where it is no scene yet."""
+    left, found = deepcopy(table), set[str]()
+    while idle := _idle_of(left):
+        found.update(idle)
+        for key in idle:
+            _drop(left, key)
     try:
-        return set(refused_keys(_validated(table)))
+        _validated(left)
     except InputError:
         return None
+    return found
+
+
+def _idle_of(table: Mapping[str, object]) -> list[str]:
+    """Return the dotted keys for which pydantic refuses a table because they have no effect in it."""
+    plain = _without_nothing(table)
+    try:
+        Scene.model_validate(plain)
+    except ValidationError as error:
+        return [key for fault in error.errors(include_url=False) for key in idle_keys(fault, plain)]
+    return []
+
+
+def _absolute(value: Any, folder: Path, key: str = "") -> Any:
+    """Return a value, or a table of values, with the paths of files under their keys made absolute."""
+    if isinstance(value, Mapping):
+        return {name: _absolute(each, folder, f"{key}.{name}" if key else name) for name, each in value.items()}
+    if not isinstance(value, str) or not value:
+        return value
+    if key == "device.perception":
+        return PERCEPTIONS.with_file_at(value, folder)
+    name = key.rpartition(".")[2]
+    part = key.split(".")[0]
+    is_file = part in PARTS_WITH_FILES and is_file_key(name)
+    if is_file or key == "materials" or key.startswith("keep_clear.files."):
+        return str((folder / value).resolve())
+    return value
 
 
 def _require_no_nul(value: object, key: str = "") -> None:
@@ -176,45 +210,12 @@ def _require_no_nul(value: object, key: str = "") -> None:
             _require_no_nul(inner, key)
 
 
-def _drop(table: dict[str, object], key: str) -> None:
+def _drop(table: dict[str, Any], key: str) -> None:
     """Take a dotted key out of nested tables."""
-    part, _, name = key.partition(".")
-    inner = table.get(part)
-    if name and isinstance(inner, dict):
-        inner.pop(name, None)
-    else:
-        table.pop(part, None)
-
-
-def _drop_removed(table: Mapping[str, object]) -> None:
-    """Drop keys that version 0.2 had and wrote, where they have the value by which they had no effect."""
-    for part, keys in REMOVED.items():
-        inner = table.get(part)
-        if isinstance(inner, dict):
-            for name, default in keys.items():
-                if inner.get(name) == default:
-                    del inner[name]
-
-
-def _without_defaults(table: dict[str, object]) -> dict[str, object]:
-    """A scene's table without entries at their defaults: a run keeps all, but nobody asked for those without effect."""
-    try:
-        scene = _validated(table)
-    except InputError:
-        return table  # its fault is raised when the scene is made
-    return _chosen_entries(table, scene)
-
-
-def _chosen_entries(table: Mapping[str, object], model: BaseModel) -> dict[str, object]:
-    """Entries of a part other than its defaults, and its kind."""
-    found: dict[str, object] = {}
-    for name, entry in table.items():
-        value = getattr(model, name)
-        if isinstance(value, BaseModel) and isinstance(entry, dict):
-            found[name] = _chosen_entries(entry, value)
-        elif name == "kind" or value != type(model).model_fields[name].default:
-            found[name] = entry
-    return found
+    *parents, last = key.split(".")
+    for parent in parents:
+        table = table.get(parent, {})
+    table.pop(last, None)
 
 
 def _without_nothing(table: Mapping[str, object]) -> dict[str, object]:
@@ -261,13 +262,13 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
             f"{shown(key)} must name an entry of a part, got {len(parents)} dots: see `tissue scenes NAME`"
         )
     for parent in parents:
-        inner = table.setdefault(parent, {})
+        inner = table[parent] = {} if table.get(parent) is None else table[parent]
         if not isinstance(inner, dict):
             raise InputError(
                 f"{key} must name an entry of a part, got {parent}, which is a value: see `tissue scenes NAME`"
             )
         table = inner
-    if last == "kind" and table.get("kind", value) != value:
+    if last == "kind" and parents != ["device"] and table.get("kind", value) != value:
         table.clear()
     table[last] = value
 

@@ -1,6 +1,6 @@
 """Faults of a scene, each in one sentence: key, requirement, value and remedy."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from types import UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
 
@@ -10,45 +10,113 @@ from pydantic_core import ErrorDetails
 
 from tissue.scene.choices import ByKind, OneOf, kinds_of
 from tissue.scene.named_parts import nearest, shown, unknown_name
+from tissue.scene.part import LONGEST_PATH, Idle
 from tissue.scene.scene import Scene
 
-__all__ = ["choices_of", "sentence"]
+__all__ = ["choices_of", "idle_keys", "sentence"]
 
 BOUNDS = (("gt", "greater than"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
 SEE = "see `tissue scenes NAME`"
 Table = Mapping[str, object]
 
 
-def sentence(fault: ErrorDetails, table: Table) -> str:
-    """One sentence for a fault that pydantic found in a scene's table."""
-    path = _without_tags(fault["loc"], table)
-    names = tuple(str(step) for step in path[: next((i for i, s in enumerate(path) if isinstance(s, int)), len(path))])
+def sentence(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) -> str:
+    """Return one sentence for a fault that pydantic found in the table of a model."""
+    path = _without_tags(fault["loc"], table, model)
+    numbers = [place for place, step in enumerate(path) if isinstance(step, int)]
+    names = tuple(str(step) for step in path[: numbers[0] if numbers else len(path)])
     key, kind, context = ".".join(map(shown, names)), str(fault["type"]), fault.get("ctx", {})
     if kind == "value_error":
         return str(context["error"])
     if kind == "refused_part":
         return str(context["sentence"])
+    if kind == "idle_keys":
+        return _idle_sentence(names, context["refused"])
     if kind == "extra_forbidden":
-        known, word = list(_model_at(names[:-1], table).model_fields), names[-1]
-        return f"{key} must be one of {', '.join(known)}, got {shown(word)}{nearest(word, known)}: rename or remove it"
-    field = _field_at(names, table)
+        return _unknown_key(names, table, model)
+    if names == ("device", "kind") and kind == "missing":
+        given = [f"{name} = {shown(value)}" for name, value in _entries(_inner(table, "device"))]
+        return f"device must be given for {', '.join(given) or 'a table [device]'}: set device = touch, or remove it"
+    field = _field_at(names, table, model)
     if kind == "missing" and len(path) == len(names):
         return f"{key} must be given, got nothing: {_addition(names, field)}"
     if kind == "union_tag_not_found":
         return f"{key}.kind must be given, got nothing: {SEE}"
-    if kind == "union_tag_invalid":
-        choices = [each for part in _parts(field) for each in kinds_of(part)]
-        return unknown_name(
-            f"{key}.kind",
-            choices,
-            shown(context["tag"] if isinstance(context["tag"], str) else _value_at((*names, "kind"), table)),
-        )
+    if kind == "union_tag_invalid" and isinstance(_value_at(names, table), Mapping):
+        choices = list(dict.fromkeys(each for part in _parts(field) for each in kinds_of(part)))
+        return unknown_name(f"{key}.kind", choices, shown(_value_at((*names, "kind"), table)))
     got = fault["input"] if len(path) == len(names) else _value_at(names, table)
     choices, number = choices_of(field), _alternatives(field.annotation)[0] in (int, float)
     if choices and not number:
         return unknown_name(key, choices, shown(got))
     wanted = " or ".join((_requirement(field, kind, len(path) > len(names)), *choices))
     return f"{key} must be {wanted}, got {_shown(got)}: {_remedy(field)}"
+
+
+def _idle_sentence(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle]]) -> str:
+    """Return the sentence for keys without effect; it names all that have none for the same reason."""
+    prefix = "".join(f"{name}." for name in names)
+    first = next(iter(refused.values()))[1]
+    given = {f"{prefix}{key}": value for key, (value, why) in refused.items() if why == first}
+    if len(given) == 1:
+        got, them = shown(next(iter(given.values()))), "it"
+    else:
+        got, them = ", ".join(f"{key} = {shown(value)}" for key, value in given.items()), "them"
+    return f"{' and '.join(given)} must be left out {first.where}, got {got}: {first.remedy}, or remove {them}"
+
+
+def _unknown_key(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> str:
+    """Return the sentence for a key that the chosen table does not have: another has it, or none."""
+    key, word = ".".join(map(shown, names)), names[-1]
+    others = _holders(names, table, model)
+    chosen = _model_at(names[:-1], table, model)
+    if not others:
+        known = list(chosen.model_fields)
+        return f"{key} must be one of {', '.join(known)}, got {shown(word)}{nearest(word, known)}: rename or remove it"
+    part, kinds = ".".join(names[:-1]), kinds_of(chosen)
+    got = shown(_value_at(names, table))
+    same = [other for other in others if set(kinds_of(other)) & set(kinds)]
+    if same:
+        source = str(getattr(chosen, "source", ""))
+        sources = [str(getattr(other, "source", "")) for other in same]
+        if source == "procedural":
+            where, remedy = f"a procedural {kinds[0]}", f"set {part}.file"
+        elif "procedural" in sources:
+            where, remedy = f"a {kinds[0]} {source}", "leave its file out"
+        else:
+            where, remedy = f"a {kinds[0]} {source}", f"use one {' or '.join(sources)}"
+        return f"{key} must be left out for {where}, got {got}: {remedy}, or remove it"
+    other_kind = kinds_of(others[0])[0]
+    return f"{key} must be left out for a {kinds[0]}, got {got}: set {part}.kind = {other_kind}, or remove it"
+
+
+def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
+    """Return the dotted keys of a scene's table that a fault refuses because they have no effect in it."""
+    names = tuple(str(step) for step in _without_tags(fault["loc"], table, Scene))
+    if fault["type"] == "idle_keys":
+        return [".".join((*names, key)) for key in fault["ctx"]["refused"]]
+    if fault["type"] == "extra_forbidden" and _holders(names, table, Scene):
+        return [".".join(names)]
+    return []
+
+
+def _holders(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> list[type[BaseModel]]:
+    """Return the other tables of a union that have a key, those for the same tool or tissue first."""
+    if len(names) < 2:
+        return []
+    outer = _model_at(names[:-2], table, model)
+    if names[-2] not in outer.model_fields:
+        return []
+    return [part for part in _parts(outer.model_fields[names[-2]]) if names[-1] in part.model_fields]
+
+
+def _entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the dotted keys and the values of nested tables."""
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _entries(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
 
 
 def _shown(value: object) -> str:
@@ -77,6 +145,8 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
     if part is bool:
         return "true or false"
     if part is str:
+        if kind == "string_too_long":
+            return f"a path of at most {LONGEST_PATH} characters"
         return "lower-case letters, digits, - and _" if kind == "string_pattern_mismatch" else "text"
     if get_origin(part) is tuple:
         item = get_args(part)[0]
@@ -115,11 +185,13 @@ def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
     return f"add {names[-1]} = " + (f'"{example}"' if isinstance(example, str) else shown(example))
 
 
-def _field_at(names: tuple[str, ...], table: Table) -> FieldInfo:
-    """What the last of some keys may hold, an entry of a scene or of a table of values in it."""
-    if len(names) > 2 and (values := _values(_model_at(names[:-2], table).model_fields[names[-2]])) is not None:
-        return values
-    return _model_at(names[:-1], table).model_fields[names[-1]]
+def _field_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> FieldInfo:
+    """Return what the last of some keys may hold, an entry of a scene or of a table of values in it."""
+    if len(names) > 2:
+        values = _values(_model_at(names[:-2], table, model).model_fields[names[-2]])
+        if values is not None:
+            return values
+    return _model_at(names[:-1], table, model).model_fields[names[-1]]
 
 
 def _values(field: FieldInfo) -> FieldInfo | None:
@@ -128,21 +200,26 @@ def _values(field: FieldInfo) -> FieldInfo | None:
     return FieldInfo.from_annotation(get_args(part)[1]) if get_origin(part) is dict else None
 
 
-def _model_at(names: tuple[str, ...], table: Table) -> type[BaseModel]:
-    """The part of a scene that holds the keys under ``names``."""
-    model: type[BaseModel] = Scene
+def _model_at(names: tuple[str, ...], table: Table, model: type[BaseModel]) -> type[BaseModel]:
+    """Return the table of a model that holds the keys under ``names``."""
     for name in names:
-        parts, table = _parts(model.model_fields[name]), _inner(table, name)
-        kinds = {kind: p for p in parts if "kind" in p.model_fields for kind in kinds_of(p)}
-        model = kinds.get(str(table.get("kind")), parts[0])
+        field, table = model.model_fields[name], _inner(table, name)
+        mark = _by_kind(field)
+        chosen = mark.chosen(table) if mark is not None else None
+        model = chosen or _parts(field)[0]
     return model
+
+
+def _by_kind(field: FieldInfo) -> ByKind | None:
+    """Return the mark of a union of tables; None for any other field."""
+    return next((each for each in field.metadata if isinstance(each, ByKind)), None)
 
 
 def _parts(field: FieldInfo) -> list[type[BaseModel]]:
     """The parts that a field may hold; none for a value."""
-    marked = next((each for each in field.metadata if isinstance(each, ByKind)), None)
-    if marked is not None:
-        return list(marked.parts(field.annotation))
+    mark = _by_kind(field)
+    if mark is not None:
+        return list(mark.parts())
     return [p for p in _alternatives(field.annotation) if isinstance(p, type) and issubclass(p, BaseModel)]
 
 
@@ -171,14 +248,25 @@ def _value_at(names: tuple[str, ...], table: Table) -> object:
     return table.get(names[-1])
 
 
-def _without_tags(location: tuple[int | str, ...], table: Table) -> list[int | str]:
-    """A fault's location without what pydantic adds: a part's kind, or which type of several a value is not."""
-    tagged = len(location) > 1 and _inner(table, str(location[0])).get("kind") == location[1]
-    path = [location[0], *location[2:]] if tagged else list(location)
-    for count in range(1, len(path)):
-        found = _model_at(tuple(map(str, path[: count - 1])), table).model_fields.get(str(path[count - 1]))
-        if found is None or isinstance(path[count], int):
+def _without_tags(location: tuple[int | str, ...], table: Table, model: type[BaseModel]) -> list[int | str]:
+    """Return a fault's location without what pydantic adds: a part's class, or which type of several a value is not."""
+    path = list(location)
+    inner: type[BaseModel] | None = model
+    place = 0
+    while inner is not None and place < len(path) and isinstance(path[place], str):
+        field = inner.model_fields.get(str(path[place]))
+        if field is None:
             break
-        if not _parts(found):
-            return path[: count + (_values(found) is not None)]
+        place += 1
+        parts = _parts(field)
+        if not parts:
+            is_number = place < len(path) and isinstance(path[place], int)
+            return path if is_number else path[: place + (_values(field) is not None)]
+        tag = path[place] if place < len(path) else None
+        if _by_kind(field) is not None:
+            inner = next((part for part in parts if part.__name__ == tag), None)
+            if inner is not None:
+                del path[place]
+        else:
+            inner = parts[0]
     return path

@@ -2,14 +2,13 @@
 
 import difflib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from meshes.base.errors import InputError
 from tissue.scene.plugins import ask_packages, refusal
 
-__all__ = ["Registry", "loaded", "nearest", "shown", "unknown_name"]
+__all__ = ["Registry", "nearest", "shown", "unknown_name"]
 
 T = TypeVar("T")
 LONGEST = 120
@@ -42,15 +41,6 @@ def shown(value: object) -> str:
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)"
 
 
-def loaded(part: T | str) -> T:
-    """A part as it is, imported where it is named as ``module:name``."""
-    if not isinstance(part, str):
-        return part
-    module, _, attribute = part.partition(":")
-    found: T = getattr(import_module(module), attribute)
-    return found
-
-
 class Registry(Generic[T]):
     """Named parts of one kind, in the order in which they are listed.
 
@@ -59,7 +49,7 @@ class Registry(Generic[T]):
     key
         Key of a scene whose value is a name of this table, as messages have it.
     parts
-        The parts by their names, each as it is or as ``module:name``. A name such as ``observer:FILE`` stands for all
+        The parts by their names. A name such as ``observer:FILE`` stands for all
         texts with something else behind the colon.
     group
         Group of entry points by which installed packages offer more parts. They are asked for a name that is not known,
@@ -71,7 +61,7 @@ class Registry(Generic[T]):
         Names of the parts that it was made with.
     """
 
-    def __init__(self, key: str, parts: Mapping[str, T | str], *, group: str = "") -> None:
+    def __init__(self, key: str, parts: Mapping[str, T], *, group: str = "") -> None:
         self.key, self.group = key, group
         self._parts = dict(parts)
         self.built_in = frozenset(parts)
@@ -90,7 +80,7 @@ class Registry(Generic[T]):
     def __getitem__(self, name: str) -> T:
         if name not in self:
             raise InputError(self._why_not(name))
-        return loaded(self._parts[name])
+        return self._parts[name]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -140,7 +130,7 @@ class Registry(Generic[T]):
                 return f"{head}{(folder / text.removeprefix(head)).resolve()}"
         return text
 
-    def add(self, name: str, part: T | str) -> None:
+    def add(self, name: str, part: T) -> None:
         """Make a part known by a name that no other has.
 
         Raises
@@ -154,7 +144,7 @@ class Registry(Generic[T]):
             )
         self.put(name, part)
 
-    def put(self, name: str, part: T | str) -> None:
+    def put(self, name: str, part: T) -> None:
         """Make a part known by a name, in place of the one that has it."""
         self._parts[name] = part
         self._changed()

@@ -2,7 +2,6 @@
 
 import warnings
 from functools import cache
-from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 
 __all__ = ["OFFERED", "PluginWarning", "ask_packages", "offered_names", "refusal"]
@@ -15,9 +14,6 @@ OFFERED = {
     )
 }  # fmt: skip
 """Groups of entry points, by the function of `tissue.register` that takes what one names."""
-TAKE = ("tissue.api.offers", "take")
-"""What checks and registers a part; it lies above the tables that packages add to, and is imported only for this."""
-
 _asked: set[str] = set()
 _refused: dict[tuple[str, str], str] = {}
 
@@ -42,7 +38,9 @@ def ask_packages(group: str) -> None:
             _refuse(offer, f"the package {_package(other)} offers one by that name, too, which is used")
             continue
         try:
-            getattr(import_module(TAKE[0]), TAKE[1])(OFFERED[group], offer.name, offer.load)
+            from tissue import register
+
+            register.offered(OFFERED[group], offer.name, offer.load)
         except (Exception, SystemExit) as error:
             reason = (str(error).splitlines() or [""])[0]
             cause = reason if type(error).__name__ == "InputError" else f"{type(error).__name__}: {reason}"

@@ -5,49 +5,25 @@ finite is refused with one sentence that names the key, the value, the requireme
 """
 
 import math
+from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
+from html import escape
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from meshes.base.errors import InputError
 from tissue.materials.scene_constants import Materials
-from tissue.scene.anatomy import AnatomyFile, BlockAnatomy, BoneAnatomy, GlenoidAnatomy, MolarAnatomy, Part
+from tissue.scene.anatomy import BlockAnatomy, BlockImage, CutAnatomy, MolarAnatomy, Tooth, WallAnatomy
 from tissue.scene.choices import ByKind, OneOf, kinds_of
-from tissue.scene.coupling import (
-    Coupling,
-    DeviceName,
-    Fidelity,
-    HandName,
-    PerceptionName,
-    PredictionName,
-    RendererName,
-    WallAnatomy,
-)
-from tissue.scene.hardware import Hardware
+from tissue.scene.coupling import Device, Fidelity
 from tissue.scene.keep_clear import KeepClear
-from tissue.scene.named_parts import loaded
-from tissue.scene.organ import LayersAnatomy, LiverAnatomy, Organ, SlabAnatomy
-from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PERCEPTIONS, PROBES
-from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool
-from tissue.scene.unused_keys import unused_keys
-from tissue.scene.vertebra import VertebraAnatomy
+from tissue.scene.organ import LayersAnatomy, LiverFile, Organ, SoftAnatomy
+from tissue.scene.part import FileName, Part, Rule
+from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PROBES
+from tissue.scene.tool import Needle, PathMotion, Probe, ReplayMotion, ThrustMotion, Tool, tool_parts
 
-__all__ = ["PARTS_WITH_FILES", "Cutting", "Output", "Scene", "Stress", "Voxels", "is_file_key"]
-
-
-PARTS_WITH_FILES = ("anatomy", "motion", "tool", "coupling")
-"""Parts of a scene with keys that name files."""
-
-
-LONGEST_PATH = 1000
-"""Characters of a file's path: more is no path of a person's."""
-
-
-def is_file_key(name: str) -> bool:
-    """Whether a key of such a part names a file."""
-    return name == "file" or name.endswith("_file")
+__all__ = ["BlockAnatomy", "Cutting", "Output", "Scene", "Stress", "Voxels"]
 
 
 class Voxels(Part):
@@ -103,20 +79,21 @@ class Stress(Part):
     """Time between two solves; the stress belongs to a state at most this old."""
 
 
+def anatomy_parts() -> tuple[type[Part], ...]:
+    """Return the tables of all anatomies that are known so far."""
+    return tuple(part for kind in ANATOMIES.known for part in ANATOMIES[kind].variants)
+
+
+def motion_parts() -> tuple[type[Part], ...]:
+    """Return the tables of all motions that are known so far."""
+    return tuple(MOTIONS[kind].parameters for kind in MOTIONS.known)
+
+
 AnyAnatomy = Annotated[
-    VertebraAnatomy
-    | GlenoidAnatomy
-    | BlockAnatomy
-    | BoneAnatomy
-    | MolarAnatomy
-    | LiverAnatomy
-    | SlabAnatomy
-    | LayersAnatomy
-    | WallAnatomy,
-    ByKind(ANATOMIES),
+    CutAnatomy | SoftAnatomy | LayersAnatomy | WallAnatomy, ByKind(anatomy_parts, (ANATOMIES.group,))
 ]
-AnyTool = Annotated[Tool | Probe | Needle, ByKind()]
-AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, ByKind(MOTIONS)]
+AnyTool = Annotated[Tool | Probe | Needle, ByKind(tool_parts, (CUTTERS.group, PROBES.group, NEEDLES.group))]
+AnyMotion = Annotated[PathMotion | ThrustMotion | ReplayMotion, ByKind(motion_parts, (MOTIONS.group,))]
 
 
 class Scene(Part):
@@ -144,37 +121,41 @@ class Scene(Part):
     """Changes to the cutting coefficients."""
     output: Output = Output()
     """What becomes of the force."""
-    device: DeviceName = "none"
-    """Device by which a hand moves the tool; none lets the motion move it."""
-    hand: HandName = "expert"
-    """Whose hand holds the device."""
-    renderer: RendererName = "proxy"
-    """Law by which the device plays what the tool meets."""
-    prediction: PredictionName = "none"
-    """What predicts the device's force ahead of latency and slow models."""
-    perception: PerceptionName = "none"
-    """For whom the device's force is scaled: none, population, or observer:FILE, as `tissue calibrate` writes it."""
-    coupling: Coupling = Coupling()
-    """How the device is coupled to the tool."""
-    hardware: Hardware = Hardware()
-    """Where a real device is, how its axes lie in the scene, and what protects the hand that holds it."""
+    device: Device | None = None
+    """Device by which a hand moves the tool; without it the motion moves the tool."""
     stress: Stress | None = None
     """Whether and how finely displacement and stress are computed."""
     heat: bool = False
     """Whether the temperature of a tooth and its pulp is computed."""
     organ: Organ = Organ()
     """What a soft organ is made of, and how it is solved."""
-    materials: str = Field("", max_length=LONGEST_PATH, examples=["fitted.toml"])
+    materials: FileName = Field("", examples=["fitted.toml"])
     """TOML file of constants in place of the cited ones, such as `tissue fit` writes; empty takes the cited ones."""
 
     fidelity: Fidelity | None = None
     """The fidelity demanded of the run; its settings are then chosen by what was measured on this machine."""
 
     @property
-    def bone(self) -> AnatomyFile:
+    def bone(self) -> CutAnatomy:
         """The anatomy of a scene in which a tool cuts."""
-        assert isinstance(self.anatomy, AnatomyFile), self.anatomy.kind
+        assert isinstance(self.anatomy, CutAnatomy), self.anatomy.kind
         return self.anatomy
+
+    @property
+    def held(self) -> Device:
+        """The device of a scene that has one."""
+        assert self.device is not None, "the scene has no device"
+        return self.device
+
+    @property
+    def motion_scale(self) -> float:
+        """Metres at the tool for each metre at the device; 1 without a device."""
+        return 1.0 if self.device is None else self.device.coupling.motion_scale
+
+    @property
+    def predictor_file(self) -> str:
+        """File of a trained predictor; empty for the scene's own."""
+        return "" if self.device is None else self.device.coupling.predictor_file
 
     @property
     def constants(self) -> Materials:
@@ -187,42 +168,24 @@ class Scene(Part):
         """
         return Materials.read(self.materials) if self.materials else Materials.cited
 
-    @property
-    def force_scale(self) -> float:
-        """Newtons at the device for each newton at the tool."""
-        return self.chosen_scale[0]
-
-    @property
-    def chosen_scale(self) -> tuple[float, str]:
-        """The scale of forces, and from what it was chosen, in words; nothing where the scene states it."""
-        given = self.coupling.force_scale
-        if given != "auto":
-            return given, ""
-        chosen: tuple[float, str] = loaded("tissue.builders.force_met:chosen_scale")(self)
-        return chosen
-
     @model_validator(mode="after")
     def _parts_fit(self) -> "Scene":
-        for part in PARTS_WITH_FILES:
-            for name, value in getattr(self, part):
-                if is_file_key(name) and isinstance(value, str) and len(value) > LONGEST_PATH:
-                    least = f"at most {LONGEST_PATH} characters, got {len(value)}"
-                    raise InputError(f"{part}.{name} must be a path of {least}: shorten it")
-        kind, wanted = self.anatomy.kind, loaded(ANATOMIES[self.anatomy.kind].tool)
+        kind = self.anatomy.kind
+        wanted = ANATOMIES[kind].tool
         if not isinstance(self.tool, wanted):
-            names = ", ".join(kinds_of(wanted))
+            names = ", ".join(kind for part in tool_parts() if issubclass(part, wanted) for kind in kinds_of(part))
             got = self.tool.kind
             raise InputError(f"tool.kind must be one of {names} for a {kind}, got {got}: choose one of these")
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(f"tool.kind must be sphere-probe for a wall, got {self.tool.kind}: use a ball")
-        if isinstance(self.tool, Tool) and isinstance(self.anatomy, AnatomyFile):
+        if isinstance(self.tool, Tool) and isinstance(self.anatomy, CutAnatomy):
             self._cutter_fits(self.tool, self.anatomy)
         return self
 
-    def _cutter_fits(self, tool: Tool, anatomy: AnatomyFile) -> None:
-        hole, peg = anatomy.guide_hole_diameter_mm, tool.peg_diameter_mm
-        if tool.can_have_peg and peg > 0.0 and (hole < peg or anatomy.guide_hole_depth_mm < tool.peg_length_mm):
-            depth, length = anatomy.guide_hole_depth_mm, tool.peg_length_mm
+    def _cutter_fits(self, tool: Tool, anatomy: CutAnatomy) -> None:
+        hole, depth = anatomy.guide_hole_mm
+        peg, length = tool.peg_mm
+        if peg > 0.0 and (hole < peg or depth < length):
             raise InputError(
                 f"tool.peg_diameter_mm must fit the guide hole ({hole:g} mm wide, {depth:g} mm deep), got a peg of "
                 f"{peg:g} x {length:g} mm: widen or deepen it by anatomy.guide_hole_diameter_mm and "
@@ -233,7 +196,7 @@ class Scene(Part):
                 f"voxels.spacing_mm must be at most a quarter of tool.diameter_mm ({tool.diameter_mm:g}), got "
                 f"{self.voxels.spacing_mm:g}: use {tool.diameter_mm / 20:g}"
             )
-        if self.stress is not None and isinstance(anatomy, MolarAnatomy):
+        if self.stress is not None and isinstance(anatomy, Tooth):
             self._stress_fits(self.stress)
 
     def _stress_fits(self, stress: Stress) -> None:
@@ -247,42 +210,72 @@ class Scene(Part):
                 f"{stress.cell_mm:g}: use {f'{fits:g}' if most > 0 else 'voxels.spacing_mm = 0.1'}"
             )
 
+    def rules(self) -> Iterator[Rule]:
+        """Yield the rules of keys that another table makes idle."""
+        yield from self._anatomy_rules()
+        yield from self._tool_rules()
+        yield from self._device_rules()
+
+    def _anatomy_rules(self) -> Iterator[Rule]:
+        anatomy = self.anatomy
+        is_cut = isinstance(self.tool, Tool)
+        reads = getattr(anatomy, "reads", CutAnatomy.reads if is_cut else ())
+        others = {"organ": "liver"} | dict.fromkeys(("stress", "heat"), "molar")
+        for table in ("voxels", "cutting", "keep_clear", "stress", "heat", "organ"):
+            where = f"for a {anatomy.kind}" + (", which is not cut" if not is_cut and table != "organ" else "")
+            yield table, table not in reads, where, f"set anatomy.kind = {others.get(table, 'block')}"
+        if isinstance(anatomy, BlockImage):
+            yield "voxels.margin_mm", anatomy.is_whole, "for an image as it is", "set anatomy.centre_mm"
+        if isinstance(anatomy, Tooth):
+            no_stress = not isinstance(anatomy, MolarAnatomy) and self.stress is None
+            ligament = "for a tooth from files without stress"
+            yield "anatomy.ligament_thickness_mm", no_stress, ligament, "add [stress]"
+        if isinstance(anatomy, SoftAnatomy):
+            is_even = anatomy.nodule_mm == 0.0 and not isinstance(anatomy, LiverFile)
+            yield "organ.parts", is_even, "without a nodule", "set anatomy.nodule_diameter_mm"
+
+    def _tool_rules(self) -> Iterator[Rule]:
+        if not isinstance(self.tool, Tool):
+            toothless = f"for a {self.tool.kind}, which has no teeth"
+            yield "output.vibration_share", True, toothless, "set tool.kind = ball-burr"
+            return
+        is_still = self.tool.spin_rpm == 0.0
+        where = "for a tool that does not turn and so cuts nothing"
+        yield "cutting voxels.removal stress heat output.vibration_share", is_still, where, "set tool.spin_rpm"
+
+    def _device_rules(self) -> Iterator[Rule]:
+        is_held = self.device is not None
+        nothing = "without a device, for nothing is drawn at random then"
+        yield "seed", not is_held, nothing, "set device = touch"
+        yield "output.cue_N", not is_held, "without a device", "set device = touch"
+        if is_held:
+            wall = "for a wall, which goes on for ever"
+            is_wall = isinstance(self.anatomy, WallAnatomy)
+            yield "device.coupling.roam_mm", is_wall, wall, "set motion.points_mm"
+            yield "device.coupling.roam_mm", isinstance(self.tool, Needle), "for a needle", "set motion.points_mm"
+        if is_held and isinstance(self.motion, ThrustMotion):
+            yield "motion.mass_kg", True, "by a hand on a device, whose masses count", "set device or hand"
+            lasts = self.duration_s is not None
+            yield "motion.max_feed_mm_s", lasts, "by a hand with duration_s", "set motion.thrust_N or duration_s"
+        if self.fidelity is not None:
+            where, remedy = "with fidelity, which chooses it", "leave fidelity out"
+            yield "device.prediction", is_held, where, remedy
+            yield "voxels.removal", not is_held and isinstance(self.tool, Tool), where, remedy
+            yield "organ.order", not is_held and isinstance(self.tool, Probe), where, remedy
+
     def to_toml(self) -> str:
-        """The whole scene, defaults included, as TOML, without keys that have no effect in it."""
+        """Return the whole scene, defaults included, as TOML, without keys that have no effect in it."""
         import tomli_w
 
-        table = self.model_dump(mode="json", exclude_none=True)
-        for key in unused_keys(self):
-            part, _, name = key.partition(".")
-            if name:
-                table[part].pop(name, None)
-            else:
-                table.pop(part, None)
-        return tomli_w.dumps({name: value for name, value in table.items() if value != {}})
+        return tomli_w.dumps(self.effective_table())
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        shown: str = loaded("tissue.api.html:scene_html")(self)
-        return shown
+        """Show in a notebook what the scene states, and all its keys folded below."""
+        import tomli_w
 
-    def with_files_at(self, folder: Path) -> "Scene":
-        """The same scene with the paths of its files made absolute, relative ones taken from ``folder``."""
-        changes: dict[str, object] = {}
-        if (perception := PERCEPTIONS.with_file_at(self.perception, folder)) != self.perception:
-            changes["perception"] = perception
-        if self.materials:
-            changes["materials"] = str((folder / self.materials).resolve())
-        for part in PARTS_WITH_FILES:
-            value: Part = getattr(self, part)
-            names = filter(is_file_key, type(value).model_fields)
-            files = {name: getattr(value, name) for name in names if getattr(value, name)}
-            if files:
-                absolute = {name: str((folder / file).resolve()) for name, file in files.items()}
-                changes[part] = value.model_copy(update=absolute)
-        if self.keep_clear is not None and self.keep_clear.files:
-            files = {name: str((folder / file).resolve()) for name, file in self.keep_clear.files.items()}
-            changes["keep_clear"] = self.keep_clear.model_copy(update={"files": files})
-        return self.model_copy(update=changes)
+        stated = self.model_dump(mode="json", exclude_unset=True, exclude_none=True, exclude={"name", "description"})
+        head = f"<p><b>{escape(self.name)}</b> {escape(self.description)}</p><pre>{escape(tomli_w.dumps(stated))}</pre>"
+        return f"{head}<details><summary>all keys</summary><pre>{escape(self.to_toml())}</pre></details>"
 
 
 for table in (ANATOMIES, CUTTERS, PROBES, NEEDLES, MOTIONS):

@@ -1,45 +1,86 @@
-"""What a scene states of the tool that meets the tissue, and of how it moves."""
+"""Tools and their motions. Cutters and probes have the keys that their tables in `tissue.scene.names` list."""
 
 import math
-from typing import Annotated, Literal
+from functools import cache
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, Strict, model_validator
+from pydantic import Field, Strict, create_model, model_validator
 
 from meshes.base.errors import InputError
-from tissue.scene.anatomy import Part, Vector
 from tissue.scene.choices import OneOf
-from tissue.scene.registry import CUTTERS, NEEDLES, PROBES
+from tissue.scene.names import CUTTERS, NEEDLES, PROBES
+from tissue.scene.part import FileName, Needs, Part, Vector
 
-__all__ = ["Needle", "PathMotion", "Probe", "ReplayMotion", "ThrustMotion", "Tool"]
+__all__ = [
+    "Motion", "Needle", "PathMotion", "Probe", "ReplayMotion", "ThrustMotion", "Tool", "probe_part", "tool_of",
+    "tool_parts",
+]  # fmt: skip
+
+CUTTER_KEYS: dict[str, Any] = {
+    "length_mm": (float, Field(10.0, gt=0, le=200, description="Length; thickness of a flat reamer.")),
+    "point_angle_deg": (float, Field(118.0, ge=30, lt=180, description="Included point angle.")),
+    "peg_diameter_mm": (
+        Annotated[float, Needs("tool.peg_length_mm")],
+        Field(0.0, ge=0, le=20, description="Diameter of a reamer's guide peg; 0 has no peg."),
+    ),
+    "peg_length_mm": (
+        Annotated[float, Needs("tool.peg_diameter_mm")],
+        Field(0.0, ge=0, le=50, description="Length of the peg beyond the tip."),
+    ),
+}
+"""Keys that shape some cutters, next to the diameter."""
+PROBE_KEYS: dict[str, Any] = {
+    "diameter_mm": (float, Field(20.0, ge=0.5, le=100, description="Diameter of the ball or cylinder.")),
+    "length_mm": (float, Field(40.0, gt=0, le=200, description="Length of the cylinder.")),
+    "file": (
+        FileName,
+        Field(
+            examples=["finger.stl"],
+            description="Closed surface of the probe; the file's origin is the tip, z points to the shank.",
+        ),
+    ),
+    "scale_mm": (float, Field(1.0, gt=0, le=1e5, description="Millimetres per unit of that file.")),
+}
+"""Keys that shape some probes."""
+USUAL_PROBE_MM = 20.0
+"""Diameter that a probe without one counts as where a mesh is refined around it [mm]: a fingertip's."""
 
 
-class Tool(Part):
+class Shaped(Part):
+    """Tool whose class is made from its table."""
+
+    kind: str
+    """Shape of the tool."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the entries: a class that is made from a table has no place in a module."""
+        return tool_of, (self.model_dump(exclude_unset=True),)
+
+
+class Tool(Shaped):
     """A rotating cutter: a surface of revolution with flutes."""
 
-    kind: Annotated[str, OneOf(CUTTERS)] = Field(examples=["ball-burr"])
-    """Shape of the cutter."""
     diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
-    """Greatest diameter."""
-    flutes: int = Field(4, ge=1, le=200)
+    """Largest diameter."""
+    flutes: Annotated[int, Needs("tool.spin_rpm")] = Field(4, ge=1, le=200)
     """Cutting edges around the axis."""
     spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
     """Spin, clockwise as seen from the shank, the sense of common burs, drills and reamers; a negative one is
     counter-clockwise. A tool that does not turn (0) cuts nothing: a hand on a device feels the bone with it."""
-    length_mm: float = Field(10.0, gt=0, le=200)
-    """Length of a cylinder, pear or drill, thickness of a flat reamer."""
-    point_angle_deg: float = Field(118.0, ge=30, lt=180)
-    """Included point angle of a twist drill."""
-    peg_diameter_mm: float = Field(0.0, ge=0, le=20)
-    """Diameter of a reamer's guide peg; 0 has none."""
-    peg_length_mm: float = Field(0.0, ge=0, le=50)
-    """How far the peg reaches beyond the tip."""
-    shell_spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.2])
+    shell_spacing_mm: Annotated[float | None, Needs("tool.spin_rpm")] = Field(None, gt=0, le=10, examples=[0.2])
     """Distance between the cutter's elements; without it as wide as gives 6000 elements."""
 
     @property
-    def can_have_peg(self) -> bool:
-        """Whether it is a reamer."""
-        return "peg_diameter_mm" in CUTTERS[self.kind].keys
+    def peg_mm(self) -> tuple[float, float]:
+        """Diameter and length of the guide peg [mm]; zeros without one."""
+        return getattr(self, "peg_diameter_mm", 0.0), getattr(self, "peg_length_mm", 0.0)
+
+    def without_peg(self) -> "Tool":
+        """Return the cutter without its peg, its elements as fine as usual."""
+        pegs: dict[str, Any] = {
+            name: 0.0 for name in ("peg_diameter_mm", "peg_length_mm") if name in type(self).model_fields
+        }
+        return self.model_copy(update={**pegs, "shell_spacing_mm": None})
 
     @model_validator(mode="after")
     def _spins_and_peg_fits(self) -> "Tool":
@@ -48,33 +89,67 @@ class Tool(Part):
                 f"tool.spin_rpm must be at least 1 in size, or 0 for a tool that only touches, got {self.spin_rpm:g}: "
                 "use 500"
             )
-        if self.can_have_peg and self.peg_diameter_mm >= self.diameter_mm:
+        peg_mm, _ = self.peg_mm
+        if peg_mm >= self.diameter_mm:
             raise InputError(
                 f"tool.peg_diameter_mm must be below tool.diameter_mm ({self.diameter_mm:g}), got "
-                f"{self.peg_diameter_mm:g}: use {0.2 * self.diameter_mm:g}"
+                f"{peg_mm:g}: use {0.2 * self.diameter_mm:g}"
             )
         return self
 
 
-class Probe(Part):
+class Probe(Shaped):
     """A smooth tool that presses: a ball, the flat end of a cylinder, or any closed surface."""
 
-    kind: Annotated[str, OneOf(PROBES)] = Field(examples=["sphere-probe"])
-    """Shape of the probe."""
-    diameter_mm: float = Field(20.0, ge=0.5, le=100)
-    """Diameter of the ball or cylinder."""
-    length_mm: float = Field(40.0, gt=0, le=200)
-    """Length of a cylinder."""
-    file: str | None = Field(None, examples=["finger.stl"])
-    """Closed surface of a shell probe; the file's origin is the tip, z points to the shank."""
-    scale_mm: float = Field(1.0, gt=0, le=1e5)
-    """Millimetres per unit of that file."""
+    @property
+    def file_name(self) -> str:
+        """File of the surface; empty for a round probe."""
+        return str(getattr(self, "file", ""))
 
-    @model_validator(mode="after")
-    def _has_its_file(self) -> "Probe":
-        if "file" in PROBES[self.kind].keys and self.file is None:
-            raise InputError(f"tool.file must be given for a {self.kind}, got nothing: add the surface's file")
-        return self
+    @property
+    def scale(self) -> float:
+        """Millimetres per unit of the file."""
+        return float(getattr(self, "scale_mm", 1.0))
+
+    @property
+    def size_mm(self) -> float:
+        """Diameter of a round probe; of another one a fingertip's [mm]."""
+        return float(getattr(self, "diameter_mm", USUAL_PROBE_MM))
+
+
+@cache
+def _shaped(base: type[Shaped], kind: str, keys: tuple[str, ...]) -> type[Shaped]:
+    """Return the class of a tool that has some keys."""
+    shapes = CUTTER_KEYS if base is Tool else PROBE_KEYS
+    word = kind.title().replace("-", "").replace("_", "")
+    entries = {key: shapes[key] for key in keys}
+    entries["kind"] = (
+        Literal[kind],
+        Field(description="Shape of the cutter." if base is Tool else "Shape of the probe."),
+    )
+    return create_model(word, __base__=base, __doc__=base.__doc__, **entries)
+
+
+def tool_parts() -> "tuple[type[Part], ...]":
+    """Return the classes of all tools that are known so far."""
+    cutters = [_shaped(Tool, kind, CUTTERS[kind].keys) for kind in CUTTERS.known]
+    probes = [_shaped(Probe, kind, PROBES[kind].keys) for kind in PROBES.known]
+    return (*cutters, *probes, Needle)
+
+
+def probe_part(**entries: Any) -> Probe:
+    """Return the probe that entries with a kind describe."""
+    made = tool_of(entries)
+    assert isinstance(made, Probe)
+    return made
+
+
+def tool_of(entries: dict[str, Any]) -> Shaped:
+    """Return the cutter or probe that entries with a kind describe."""
+    kind = entries["kind"]
+    if kind in CUTTERS:
+        return _shaped(Tool, kind, CUTTERS[kind].keys)(**entries)
+    return _shaped(Probe, kind, PROBES[kind].keys)(**entries)
 
 
 class Needle(Part):
@@ -87,7 +162,7 @@ class Needle(Part):
 
 
 class Motion(Part):
-    """What every motion has."""
+    """Motion whose tool keeps its orientation."""
 
     axis: Vector = (0.0, 0.0, 1.0)
     """Direction of the tool's axis from tip to shank."""
@@ -129,10 +204,10 @@ class ThrustMotion(Motion):
     """Travel from the face (z = 0 of the site) at which the feed stops."""
 
 
-class ReplayMotion(Motion):
+class ReplayMotion(Part):
     """Poses from a table with the columns of ``trace.csv``: time_s, tool_x_mm ... tool_qw; or from a recording."""
 
     kind: Literal["replay"] = "replay"
     """Recorded."""
-    file: str = Field(examples=["runs/glenoid/trace.csv"])
+    file: FileName = Field(examples=["runs/glenoid/trace.csv"])
     """CSV table of poses, such as a run's own trace, or an HDF5 recording of volumetric_drilling."""

@@ -102,8 +102,8 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
             yield "needle", "vessel_wall", walls
         if anatomy.interval_ms > 0.0:
             yield "soft", "liver", ("modulus_kPa",)
-    if scene.device in listed("devices"):
-        yield from _device(scene.device, scene.hand)
+    if scene.device is not None and scene.device.kind in listed("devices"):
+        yield from _device(scene.device.kind, scene.device.hand)
 
 
 def _device(device: str | None, hand: str) -> Iterator[Part]:
@@ -147,7 +147,7 @@ def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tupl
 
 def _has_reference_density(scene: Scene) -> bool:
     """Whether all that is cut has the density of its coefficients, so that no power of their ratio counts."""
-    if not isinstance(scene.anatomy, BlockAnatomy) or scene.anatomy.file is not None:
+    if not isinstance(scene.anatomy, BlockAnatomy):
         return False
     reference = scene.constants.constants("cutting", scene.cutting.material)["reference_density_kg_m3"]
     return scene.anatomy.density_kg_m3 == reference.value

@@ -17,7 +17,8 @@ from scipy.signal import lfilter
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.builders.registry import motion_of
+from tissue.builders.motions import motion_of
+from tissue.builders.registry import builder_of
 from tissue.haptics.loop.vibration import Vibration
 from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.density_nodes import DensityNodes
@@ -26,11 +27,9 @@ from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S
 from tissue.models.tooth.model import ToothModel
 from tissue.motion.motion import Motion
-from tissue.scene.named_parts import loaded
-from tissue.scene.registry import ANATOMIES
+from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion, Tool
-from tissue.scene.unused_keys import require_used
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.simulate import tick_count
 from tissue.simulation.trace import Table
@@ -166,10 +165,10 @@ def _values(coefficients: CuttingCoefficients) -> Array:
 
 def why_not_linear(scene: Scene) -> str:
     """Why the loads of a scene do not follow from one run for other coefficients, in words; empty where they do."""
-    if ANATOMIES[scene.anatomy.kind].build != "tissue.builders.cutting:milled" or not isinstance(scene.tool, Tool):
+    if not isinstance(scene.anatomy, CutAnatomy) or not isinstance(scene.tool, Tool):
         return f"a {scene.tool.kind} in a {scene.anatomy.kind} has no cutting coefficients to be linear in"
-    if scene.device != "none":
-        return f"the device {scene.device} yields to the force, so that the tool's path depends on the coefficients"
+    if scene.device is not None:
+        return f"the device {scene.held.kind} yields to the force, so that the tool's path depends on the coefficients"
     if scene.motion.kind not in ("path", "replay"):
         return f"the path of a motion of kind {scene.motion.kind} may depend on the force, and so on the coefficients"
     if scene.tool.spin_rpm == 0.0:
@@ -205,16 +204,14 @@ def record_loads(
         If the loads are not linear, see `why_not_linear`, the record would not fit `MOST_BYTES`, or as `simulate`.
     """
     report = progress or silent
-    if motion is None:
-        require_used(scene)
-    else:
+    if motion is not None:
         stands_in = ReplayMotion(kind="replay", file="poses that were given")
-        scene = scene.model_copy(update={"motion": stands_in, "device": "none", "duration_s": None})
+        scene = scene.model_copy(update={"motion": stands_in, "device": None, "duration_s": None})
     if why := why_not_linear(scene):
         raise InputError(f"scene must have a force that is linear in the coefficients, got one where {why}: run it")
     scene = scene.model_copy(update={"stress": None, "heat": False, "keep_clear": None})
     motion = motion or motion_of(scene, step_s=TICK_S)
-    build = loaded(ANATOMIES[scene.anatomy.kind].build)
+    build = builder_of(scene.anatomy.kind)
     parts = build(scene, motion, step_s=TICK_S, compute=compute, cores=cores, report=report)
     model = parts.tissue.milling if isinstance(parts.tissue, ToothModel) else parts.tissue
     assert isinstance(model, BoneModel)

@@ -77,9 +77,9 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
     InputError
         If the scene has no device.
     """
-    if scene.device == "none":
+    if scene.device is None:
         raise InputError("scene must have a device to have a played force, got none: set device, such as touch")
-    stiffness = scene.coupling.stiffness_N_m or judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
+    stiffness = scene.held.coupling.stiffness_N_m or judged_loop(loop_settings(scene), step_s=TICK_S).stiffness_N_m
     return changed(scene, {**PROMPT, "coupling.stiffness_N_m": stiffness, **(finest or {})})
 
 
@@ -152,7 +152,7 @@ def stretch_force_N(run: SimulatedRun) -> Array:
     InputError
         If the run had no device.
     """
-    coupling = ideal_scene(run.scene).coupling
+    coupling = ideal_scene(run.scene).held.coupling
     trace = run.trace
     assert coupling.stiffness_N_m is not None
     start_mm = 1e3 * run.parts.motion.sweep_m()[0]

@@ -69,10 +69,12 @@ PICTURES = (
     "force_depth",
     "force_torque",
     "held",
+    "insertion",
     "played",
     "press",
     "removed_depth",
     "section",
+    "wall",
 )
 """Names of pictures that runs of any scene may have; a kind of anatomy may add others."""
 

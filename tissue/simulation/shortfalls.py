@@ -4,7 +4,7 @@ import numpy as np
 
 from tissue.builders.parts import Parts
 from tissue.motion.motion import frame_along
-from tissue.scene.anatomy import MolarAnatomy
+from tissue.scene.anatomy import MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ThrustMotion
@@ -49,16 +49,17 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         return found
     if not np.any(parts.tissue.removed_m3):
         found["removed"] = "nothing: the tool cut no tissue; move it deeper, or let the run last longer"
-    elif isinstance(tooth := scene.anatomy, MolarAnatomy) and _has_lesion(tooth, parts):
+    elif isinstance(tooth := scene.anatomy, Tooth) and _has_lesion(tooth, parts):
         missed = _missed_caries(parts)
         found |= {"removed": missed + _to_the_lesion(tooth, parts)} if missed else {}
     return found
 
 
-def _has_lesion(anatomy: MolarAnatomy, parts: Parts) -> bool:
+def _has_lesion(anatomy: Tooth, parts: Parts) -> bool:
     """Whether the tooth has a lesion, within the tool's reach or not."""
-    procedural = anatomy.file is None and not anatomy.layer_files
-    return anatomy.caries_file is not None or "lesion" in parts.notes or (procedural and anatomy.caries_depth_mm > 0.0)
+    if isinstance(anatomy, MolarAnatomy):
+        return anatomy.caries_depth_mm > 0.0
+    return "caries" in anatomy.layer_files or "lesion" in parts.notes
 
 
 def _missed_caries(parts: Parts) -> str:
@@ -74,9 +75,9 @@ def _missed_caries(parts: Parts) -> str:
     return f"only {1e9 * removed_m3:.3g} of {1e9 * there_m3:.3g} mm3 of the caries within reach"
 
 
-def _to_the_lesion(anatomy: MolarAnatomy, parts: Parts) -> str:
+def _to_the_lesion(anatomy: Tooth, parts: Parts) -> str:
     """Where the caries lies, if known, and how to bring the tool to it."""
     at = parts.notes.get("lesion")
-    aimed = anatomy.site == "caries" or parts.placement is None
+    aimed = getattr(anatomy, "site", "") == "caries" or parts.placement is None
     how = "move motion.points_mm to it" if aimed else "set anatomy.site = caries, or move motion.points_mm to it"
     return (f" ({at})" if at else "") + f"; {how}"

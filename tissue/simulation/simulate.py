@@ -21,7 +21,6 @@ from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor
 from tissue.scene.scene import Scene
-from tissue.scene.unused_keys import require_used
 from tissue.simulation.break_through import break_throughs
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.observer import RunObserver
@@ -114,8 +113,6 @@ def simulate(
         raise InputError(f"cores must be from 1 to {MOST_CORES}, got {str(cores)[:12]}: leave it out to use all")
     if scene.fidelity is not None:
         raise InputError("scene must hold settings, got a demand on fidelity: choose them by tissue.simulate")
-    if device is None:
-        require_used(scene)
     folder = RunFolder(Path(out), overwrite=overwrite) if out is not None else None
     with folder.ending() if folder is not None else nullcontext():
         parts = build(scene, step_s=TICK_S, compute=compute, cores=cores, report=report, allow_unstable=allow_unstable)
@@ -124,8 +121,8 @@ def simulate(
                 raise InputError("scene must name the device that is given, got none: set device, such as touch")
             require_stated_rate(
                 device,
-                device_parameters(scene.device, scene.constants),
-                remedy=f"state devices.{scene.device}.rate_Hz in a file of constants for the key materials",
+                device_parameters(scene.held.kind, scene.constants),
+                remedy=f"state devices.{scene.held.kind}.rate_Hz in a file of constants for the key materials",
             )
             parts.motion.device = device
             parts.motion.after_s = 0.0

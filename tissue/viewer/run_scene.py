@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.faces import faces_of
 from tissue.figures.figure import layer_colours
 from tissue.figures.tool_mesh import turning_tool
 from tissue.simulation.run_folder import SavedRun
@@ -15,7 +16,7 @@ from tissue.viewer.bone import BoneShown
 from tissue.viewer.fields import FieldsShown
 from tissue.viewer.moment import MomentShown
 from tissue.viewer.plotter import Plotter
-from tissue.viewer.saved_surfaces import bone_of, cut_plane, faces_of, saved_fields
+from tissue.viewer.saved_surfaces import bone_of, cut_plane, saved_fields
 
 if TYPE_CHECKING:
     import pyvista

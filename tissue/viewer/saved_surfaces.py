@@ -10,13 +10,10 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.voxels.volume import VoxelVolume
-from tissue.builders.registry import motion_of
+from tissue.builders.cutting import milled_voxels
 from tissue.figures.tool_mesh import tool_turns
-from tissue.models.tissue_model import TICK_S
 from tissue.motion.pose_file import poses_of_trace, read_poses
-from tissue.scene.named_parts import loaded
-from tissue.scene.organ import LayersAnatomy
-from tissue.scene.registry import ANATOMIES
+from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.bone_files import read_voxels
@@ -37,21 +34,14 @@ __all__ = [
     "Plane",
     "bone_of",
     "cut_plane",
-    "faces_of",
-    "layer_faces",
     "saved_fields",
     "tool_force",
-    "wall_face",
 ]
 
 Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Normal and a point [mm]; what lies on the normal's side is left out."""
 INSIDE_MM = 1e-4
 """Distance of a cut from the tool's deepest point, so that the plane goes through no face of the mesh."""
-FACE_MM = 30.0
-"""Edge of a drawn piece of a face that goes on, and how far a wall goes beyond the path on it."""
-WALL_MESH_MM = 5.0
-"""Width of the squares of a drawn wall."""
 
 
 def saved_fields(saved: SavedRun) -> SavedFields | None:
@@ -73,45 +63,6 @@ def cut_plane(saved: SavedRun, fields: SavedFields) -> Plane:
 def tool_force(trace: Table) -> NDArray[np.float64]:
     """Return the force of the tissue on the tool [N], shape (rows, 3)."""
     return trace.vectors("model_force" if "model_force_x_N" in trace else "force", "N")
-
-
-def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
-    """Return the faces that a tool penetrates or presses [mm], by name. Voxels and meshes have none."""
-    make = None if scene is None else ANATOMIES[scene.anatomy.kind].faces
-    return {} if scene is None or make is None else loaded(make)(scene)
-
-
-def wall_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return a wall under the whole path of the tool."""
-    import pyvista
-
-    path_mm = 1e3 * motion_of(scene, step_s=TICK_S).sweep_m()[:, :2]
-    low = path_mm.min(axis=0)
-    high = path_mm.max(axis=0)
-    middle = 0.5 * (low + high)
-    (wide, deep) = high - low + max(FACE_MM, 2.0 * (scene.coupling.roam_mm or 0.0))
-    return {
-        "wall": pyvista.Plane(
-            center=(*middle, 0.0),
-            direction=(0.0, 0.0, 1.0),
-            i_size=wide,
-            j_size=deep,
-            i_resolution=max(round(wide / WALL_MESH_MM), 1),
-            j_resolution=max(round(deep / WALL_MESH_MM), 1),
-        )
-    }
-
-
-def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return the faces that a needle penetrates, by layer."""
-    import pyvista
-
-    assert isinstance(scene.anatomy, LayersAnatomy)
-    depths = {"capsule": 0.0} | dict(scene.anatomy.membranes)
-    return {
-        name: pyvista.Plane(center=(0.0, 0.0, -depth), direction=(0.0, 0.0, 1.0), i_size=FACE_MM, j_size=FACE_MM)
-        for name, depth in depths.items()
-    }
 
 
 COARSE_MM = 0.4
@@ -251,12 +202,11 @@ def _over_time(
 
 def _coarse(scene: Scene) -> VoxelVolume | None:
     """Return the bone that a scene starts from in coarse voxels, or None if it comes from a file."""
-    make = ANATOMIES[scene.anatomy.kind].voxels
-    if make is None or getattr(scene.anatomy, "file", None) is not None:
+    if not isinstance(scene.anatomy, CutAnatomy) or scene.anatomy.from_file is not None:
         return None
     spacing = max(COARSE_MM, scene.voxels.spacing_mm)
     with suppress(InputError):
-        return loaded(make)(
+        return milled_voxels(
             scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
         )
     return None

@@ -16,7 +16,7 @@ from typing import IO
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.builders.registry import motion_of
+from tissue.builders.motions import motion_of
 from tissue.models.tissue_model import TICK_S
 from tissue.simulation.live.window import require_web
 from tissue.simulation.run_folder import SavedRun

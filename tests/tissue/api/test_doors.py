@@ -60,7 +60,9 @@ def test_people_are_measured_and_a_scale_that_is_known_changes_nothing_for_the_r
 
 
 def test_a_run_is_assessed_fresh_as_it_is_from_its_folder(by_hand, tmp_path):
-    other = tissue.simulate(by_hand.scene.model_copy(update={"hand": "novice"}))
+    other = tissue.simulate(
+        by_hand.scene.model_copy(update={"device": by_hand.scene.held.model_copy(update={"hand": "novice"})})
+    )
     fresh = tissue.assess(other, by_hand)
     folders = [run.save(tmp_path / name, pictures=False) for run, name in ((other, "novice"), (by_hand, "expert"))]
     read = tissue.assess(folders[0], str(folders[1]))

@@ -59,7 +59,7 @@ def test_a_predictor_of_two_methods_runs_guarded_is_judged_and_charted(tmp_path)
     draw_tasks([found], tmp_path / "tasks.png")
     with pytest.raises(InputError, match=r"must be one of none, hold, .*, drift, got drif \(did you mean drift\?\)"):
         load_scene("wall", {"prediction": "drif"})
-    assert "drift" in json.loads(schema_text())["properties"]["prediction"]["enum"]
+    assert "drift" in json.loads(schema_text())["$defs"]["Device"]["properties"]["prediction"]["enum"]
 
 
 @pytest.mark.slow
@@ -142,7 +142,7 @@ def test_a_device_is_opened_where_a_scene_names_it(command, here):
     )
     assert (code, error) == (0, "") and "sprung" in output and Sprung.opened == opened + 1
     known = "none, touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, sprung"
-    with pytest.raises(InputError, match=f"device must be one of {known}, got spring"):
+    with pytest.raises(InputError, match=f"device.kind must be one of {known.removeprefix('none, ')}, got spring"):
         load_scene("wall", {"device": "spring"})
 
 
@@ -365,7 +365,7 @@ def test_a_scene_by_a_name_that_is_taken_is_refused(tmp_path, command):
 
 def test_a_part_that_was_registered_is_in_the_schema_of_the_scene():
     register.device("light", LIGHT)
-    assert Scene.model_json_schema()["properties"]["device"]["enum"][-1] == "light"
+    assert Scene.model_json_schema()["$defs"]["Device"]["properties"]["kind"]["enum"][-1] == "light"
 
 
 def test_what_is_measured_with_a_part_is_kept_by_its_numbers_and_its_code(tmp_path, monkeypatch):

@@ -23,8 +23,8 @@ from tissue.scene.load import scene_text
         ("voxels.spacing_mm=true", "voxels.spacing_mm", "true"),
         ("voxels=5", "voxels", "5"),
         ("anatomy=5", "anatomy", "5"),
-        ("coupling.force_scale=autos", "coupling.force_scale", "autos"),
-        ("coupling.force_scale=-1", "coupling.force_scale", "-1"),
+        ("coupling.force_scale=autos", "device", "coupling.force_scale = autos"),
+        ("coupling.force_scale=-1", "device", "coupling.force_scale = -1"),
         ("seed.low=1", "seed.low", "seed,"),
         ("seed=-1", "seed", "-1"),
         ("tool.flutes=2.0", "tool.flutes", "2.0"),
@@ -52,7 +52,7 @@ from tissue.scene.load import scene_text
         ("tool.peg_diameter_mm=2", "tool.peg_diameter_mm", "2"),
         ("spacing", "--set", "spacing"),
         ("=1", "--set", "=1"),
-        ("perception=all", "perception", "all"),
+        ("perception=all", "device", "perception = all"),
     ],
 )
 def test_a_bad_entry_is_refused_by_its_name_and_value(refused, here, override, argument, value):

@@ -7,6 +7,7 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue import load_scene, simulate
+from tissue.builders.force_met import chosen_scale
 from tissue.builders.loop import lead_ticks
 from tissue.builders.loop_settings import loop_settings
 from tissue.builders.prediction import FALLBACKS
@@ -42,18 +43,18 @@ def test_fallbacks_are_compared_at_the_lead_of_four_milliseconds():
 def test_trials_differ_in_hand_seed_and_latency():
     scene = load_scene("molar", {"prediction": "none"})
     scenes = [trial(scene, index) for index in range(9)]
-    assert [each.hand for each in scenes[:3]] == ["novice", "intermediate", "expert"]
-    assert [each.coupling.delay_ms for each in scenes] == [0, 0, 0, 4, 4, 4, 8, 8, 8]
+    assert [each.held.hand for each in scenes[:3]] == ["novice", "intermediate", "expert"]
+    assert [each.held.coupling.delay_ms for each in scenes] == [0, 0, 0, 4, 4, 4, 8, 8, 8]
     assert len({each.seed for each in scenes}) == 9 and all(each.stress is None for each in scenes)
-    assert trial(scene, 3, share=0.7).coupling.force_scale == pytest.approx(0.7 * scene.force_scale)
+    assert trial(scene, 3, share=0.7).held.coupling.force_scale == pytest.approx(0.7 * chosen_scale(scene)[0])
 
 
 @pytest.mark.parametrize("name", ["milling", "glenoid", "palpation"])
 def test_a_trial_has_the_scale_of_forces_that_its_scene_has_on_a_device(name):
     scene = load_scene(name)
-    played = load_scene(name, {"device": "touch"}).force_scale
-    assert played != scene.force_scale == 1.0
-    assert trial(scene, 0, share=0.7).coupling.force_scale == pytest.approx(0.7 * played)
+    played = chosen_scale(load_scene(name, {"device": "touch"}))[0]
+    assert played != chosen_scale(scene)[0] == 1.0
+    assert trial(scene, 0, share=0.7).held.coupling.force_scale == pytest.approx(0.7 * played)
 
 
 def motor_error(prediction, **changes):

@@ -9,7 +9,7 @@ import pytest
 
 from meshes.base.errors import InputError
 from meshes.base.kept import Kept
-from tissue.builders.prediction import predictor as predictor_of
+from tissue.builders.prediction import maker_of
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop import forecast
@@ -30,7 +30,7 @@ CONTROL = LinearControl(SimpleNamespace(A=0.9 * np.eye(3), B=PULL, offset=np.zer
 
 def bare(kind):
     """A predictor without the guard that may hand over to another."""
-    found = predictor_of(kind, scene_name="wall", file="", force_limit_N=3.3)
+    found = maker_of(kind, scene_name="wall", file="", force_limit_N=3.3)()
     return getattr(found, "inner", found)
 
 

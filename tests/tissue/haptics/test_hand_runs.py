@@ -6,6 +6,7 @@ from hand_runs import played_N, run_of
 from hand_steps import STEP_S
 
 from tissue import InputError, load_scene, simulate
+from tissue.builders.force_met import chosen_scale
 from tissue.builders.loop import judged_loop
 from tissue.builders.loop_settings import loop_settings
 from tissue.haptics.device.device import device_parameters
@@ -75,7 +76,7 @@ def test_a_hand_reams_a_glenoid_within_the_device_s_range(changes):
     assert 0.3 < force.max() <= device_parameters("touch").force_limit_N
     # What the device plays is the tissue's force by the scene's scale.
     late = run.trace["time_s"] > 3.5
-    np.testing.assert_allclose(force[late].mean(), run.scene.force_scale * model[late].mean(), rtol=0.1)
+    np.testing.assert_allclose(force[late].mean(), chosen_scale(run.scene)[0] * model[late].mean(), rtol=0.1)
 
 
 def test_a_hand_presses_a_liver():
@@ -86,7 +87,7 @@ def test_a_hand_presses_a_liver():
     late = (trace["time_s"] > 0.9) & (trace["time_s"] < 1.4)
     force = trace["device_force_z_N"][late]
     assert 0.2 < force.mean() < 1.5
-    scaled = run.scene.force_scale * trace["model_force_z_N"][late]
+    scaled = chosen_scale(run.scene)[0] * trace["model_force_z_N"][late]
     np.testing.assert_allclose(force, scaled, atol=0.05 * force.mean())
 
 
@@ -148,7 +149,7 @@ def test_a_tool_that_does_not_turn_feels_the_bone_and_cuts_nothing(device):
     assert trace["tool_z_mm"].min() > -0.5 and trace["device_z_mm"].min() < -1.2  # nothing pops through the face
     k = judged_loop(loop_settings(run.scene), step_s=STEP_S).stiffness_N_m
     stretch = 1e-3 * (trace.vectors("tool", "mm") - trace.vectors("device", "mm"))
-    model = run.scene.force_scale * trace.vectors("model_force", "N")
+    model = chosen_scale(run.scene)[0] * trace.vectors("model_force", "N")
     off = np.linalg.norm(k * stretch - model, axis=1)
     assert np.percentile(off, 99) < 2e-3 * np.linalg.norm(model, axis=1).max()
     assert 0.2 < played_N(run).max() <= limits.force_limit_N
@@ -186,7 +187,7 @@ def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
 def test_a_device_that_plays_torque_is_given_that_of_its_spring(name, changes):
     """The spring of rotation balances the tissue's torque, which is played by the scene's scale: within 10 % late on."""
     run = run_of(name, device="six-dof", **{"duration_s": 1.2, **changes})
-    trace, scale = run.trace, run.scene.force_scale
+    trace, scale = run.trace, chosen_scale(run.scene)[0]
     late = slice(-300, None)
     played = trace.vectors("device_torque", "Nm")[late].mean(axis=0)
     tissue = scale * trace.vectors("model_torque", "Nm")[late].mean(axis=0)
@@ -202,12 +203,12 @@ def test_a_device_on_rails_that_tracks_the_path_feels_the_scripted_force():
     changes = {"duration_s": 1.6, "voxels.spacing_mm": 0.1}
     scripted = simulate(load_scene("milling", changes)).trace
     scene = load_scene("milling", changes | {"device": "touch"})
-    spring = judged_loop(loop_settings(scene), step_s=STEP_S).stiffness_N_m / scene.force_scale
+    spring = judged_loop(loop_settings(scene), step_s=STEP_S).stiffness_N_m / chosen_scale(scene)[0]
     tips, late = 1e-3 * scripted.vectors("tool", "mm"), slice(500, 1500)
     force = scripted.vectors("model_force", "N")
     steady = np.column_stack([np.convolve(part, np.full(20, 0.05), "same") for part in force.T])
     rails = RecordedDevice(1e-3 * np.arange(len(tips)), tips - steady / spring)
-    felt = simulate(scene, device=rails).trace.vectors("raw_force", "N") / scene.force_scale
+    felt = simulate(scene, device=rails).trace.vectors("raw_force", "N") / chosen_scale(scene)[0]
     expected = force[late].mean(axis=0)
     assert np.linalg.norm(expected[1:]) > 8.0 * abs(expected[0])  # it acts across the path
     np.testing.assert_allclose(felt[late].mean(axis=0), expected, atol=0.1 * np.linalg.norm(expected))

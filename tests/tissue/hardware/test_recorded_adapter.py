@@ -6,7 +6,7 @@ import pytest
 from meshes.base.errors import InputError
 from meshes.paths.replay_table import POSE_COLUMNS
 from tissue.api.simulate import simulate
-from tissue.builders.registry import motion_of
+from tissue.builders.motions import motion_of
 from tissue.hardware.recorded import RecordedAdapter
 from tissue.scene.hardware import Hardware
 from tissue.scene.load import load_scene

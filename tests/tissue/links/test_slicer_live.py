@@ -127,7 +127,7 @@ def test_a_pose_of_a_client_moves_the_tool_on_the_devices_spring():
     greeted = Greeted(target((0.0, 0.0, -2.0), turn))
     run = live(first, LiveSettings(slicer=SlicerLink(port=0, drives=True, opened=greeted), duration_s=0.8))
     greeted.all()
-    assert run.scene.device == "touch" and len(run.trace.rows) == 800
+    assert run.scene.held.kind == "touch" and len(run.trace.rows) == 800
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
     # 400 N/m in series with the wall; turned about its tip a ball of 5 mm radius is 5 mm x (1 - 0.8) deeper than that.
     deep_m = 2e-3 + 5e-3 * (1.0 - 0.8)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError, load_scene
-from tissue.builders.prediction import predictor, trained_predictor
+from tissue.builders.prediction import maker_of, trained_predictor
 from tissue.evaluation.training.recording import Recording
 from tissue.evaluation.training.train import fit, forecast_errors, with_fallback
 from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
@@ -301,18 +301,18 @@ def test_what_cannot_be_used_is_refused(trained, tmp_path):
     with pytest.raises(
         InputError, match=r"must be of scene wall, got spring in .*: train it again with 'tissue train wa"
     ):
-        predictor("koopman", scene_name="wall", file=path, **options)
+        maker_of("koopman", scene_name="wall", file=path, **options)()
     with pytest.raises(InputError, match=r"must be an existing file, got nowhere.npz: train it with"):
-        predictor("dmdc", scene_name="wall", file="nowhere.npz", **options)
+        maker_of("dmdc", scene_name="wall", file="nowhere.npz", **options)()
     with pytest.raises(InputError, match=r"prediction must be one of hold, linear, .*, got arima: choose"):
-        predictor("arima", scene_name="wall", file="", **options)
+        maker_of("arima", scene_name="wall", file="", **options)()
     with pytest.raises(InputError, match="trained must be given for dmdc, got nothing: pass"):
         trained_predictor("dmdc", None, force_limit_N=LIMIT_N)
     with pytest.raises(
         InputError, match=r"coupling.predictor_file must be given for a scene other than caries, .*wall"
     ):
-        predictor("koopman", scene_name="mine", file="", **options)
-    with pytest.raises(InputError, match="prediction must be left out without a device, got koopman"):
+        maker_of("koopman", scene_name="mine", file="", **options)()
+    with pytest.raises(InputError, match="device must be given for prediction = koopman"):
         load_scene("palpation", {"prediction": "koopman"})
     still = [replace(spring_run(1), force_N=np.zeros((1200, 3)))]
     with pytest.raises(InputError, match="trials must leave at least 3 to learn from, got 1"):

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ValidationError
 
 import tissue.scene.scene
 from tissue import InputError, Scene, load_scene, scene_names, scene_text
+from tissue.scene.convert import OldSceneWarning
 from tissue.scene.load import parse_override, saved_text
 
 PARTS = [
@@ -126,7 +127,7 @@ def test_files_are_taken_from_the_scene_file_and_overrides_from_the_working_dire
     assert load_scene("../home/x.toml", {"duration_s": 3}).anatomy.file == str(tmp_path / "bones" / "a.stl")
     assert load_scene(home / "x.toml", {"anatomy.file": "b.stl"}).anatomy.file == str(work / "b.stl")
     assert load_scene("milling", {"anatomy.file": "b.stl"}).anatomy.file == str(work / "b.stl")
-    assert load_scene(home / "x.toml", {"anatomy.file": ""}).anatomy.file is None
+    assert load_scene(home / "x.toml", {"anatomy.file": ""}).anatomy.from_file is None
     replay = {"motion.kind": "replay", "motion.file": "t.csv"}
     assert load_scene(home / "x.toml", replay).motion.file == str(work / "t.csv")
 
@@ -137,27 +138,41 @@ def test_whole_numbers_do_for_quantities():
 
 def test_toml_of_a_scene_holds_every_entry_that_is_set():
     table = tomllib.loads(load_scene("glenoid").to_toml())
-    by_hand = {"hand", "renderer", "prediction", "perception", "coupling", "hardware"}
     rest = {"stress", "heat", "organ", "fidelity", "seed", "keep_clear"}
-    assert set(table) == set(Scene.model_fields) - rest - by_hand
+    assert set(table) == set(Scene.model_fields) - rest - {"device"}
     for name, part in (("voxels", tissue.scene.scene.Voxels), ("output", tissue.scene.scene.Output)):
         assert set(table[name]) == set(part.model_fields) - {"cue_N"}
     held = tomllib.loads(load_scene("glenoid", {"device": "six-dof", "prediction": "koopman"}).to_toml())
-    assert (
-        by_hand - {"hardware"} <= set(held)
-        and "cue_N" in held["output"]
-        and {"prediction_gain", "delay_ms"} <= set(held["coupling"])
-    )
-    assert "hardware" in tomllib.loads(load_scene("wall", {"device": "haply"}).to_toml())
+    assert {"hand", "renderer", "prediction", "perception", "coupling"} <= set(held["device"]) and "cue_N" in held[
+        "output"
+    ]
+    assert "hardware" not in held["device"] and {"prediction_gain", "delay_ms"} <= set(held["device"]["coupling"])
+    assert "hardware" in tomllib.loads(load_scene("wall", {"device": "haply"}).to_toml())["device"]
+
+
+OLD_DEVICE = {
+    "hand": "novice",
+    "renderer": "proxy",
+    "prediction": "none",
+    "perception": "none",
+    "coupling": {"delay_ms": 4, "prediction_gain": 1.0, "predictor_file": ""},
+    "hardware": {"address": "", "ramp_ms": 500.0},
+}
+"""Keys of the device as version 0.2 wrote them, with defaults that have no effect."""
 
 
 @pytest.mark.parametrize("name", scene_names())
-def test_a_scene_that_an_older_tissue_kept_is_read_without_its_idle_defaults(name, tmp_path):
-    scene, path = load_scene(name), tmp_path / "scene.toml"
+def test_a_scene_that_version_02_kept_is_read_without_its_idle_defaults(name, tmp_path):
+    path = tmp_path / "scene.toml"
+    scene = load_scene(name, {"device": "none"})
     table = scene.model_dump(mode="json", exclude_none=True)
-    path.write_text(tomli_w.dumps(table))
-    read = load_scene(path)
-    assert read == scene and "hand" in table and "hand" not in read.model_fields_set
+    for device, read in (
+        ("none", scene),
+        ("touch", load_scene(name, {"device": "touch", "hand": "novice", "coupling.delay_ms": 4})),
+    ):
+        path.write_text(tomli_w.dumps(table | OLD_DEVICE | {"device": device}))
+        with pytest.warns(OldSceneWarning, match="form of tissue 0.2"):
+            assert load_scene(path) == read
 
 
 def test_a_kept_scene_with_the_default_of_a_removed_key_is_read(tmp_path):
@@ -173,14 +188,16 @@ def test_a_kept_scene_with_the_default_of_a_removed_key_is_read(tmp_path):
                 load_scene(path)
 
 
-def test_what_was_asked_for_without_effect_in_an_older_kept_scene_is_refused(tmp_path):
-    table = load_scene("milling").model_dump(mode="json", exclude_none=True) | {"hand": "novice"}
-    (tmp_path / "scene.toml").write_text(tomli_w.dumps(table))
-    with pytest.raises(InputError, match="hand must be left out without a device, got novice"):
-        load_scene(tmp_path / "scene.toml")
-
-
-def test_a_person_who_writes_an_idle_default_is_refused(tmp_path):
-    (tmp_path / "mine.toml").write_text('hand = "expert"\n' + scene_text("milling"))
-    with pytest.raises(InputError, match="hand must be left out without a device, got expert"):
-        load_scene(tmp_path / "mine.toml")
+def test_a_file_in_the_form_of_version_02_is_read_with_a_note_and_still_refuses_idle_keys(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('device = "omni"\nhand = "novice"\n' + scene_text("milling") + "\n[coupling]\ndelay_ms = 3\n")
+    with pytest.warns(OldSceneWarning):
+        held = load_scene(path).held
+    assert (held.kind, held.hand, held.coupling.delay_ms) == ("omni", "novice", 3)
+    path.write_text('hand = "expert"\n' + scene_text("milling"))
+    with pytest.warns(OldSceneWarning), pytest.raises(InputError, match="device must be given for hand = expert"):
+        load_scene(path)
+    later = tmp_path / "later.toml"
+    later.write_text("format = 3\n" + scene_text("milling"))
+    with pytest.raises(InputError, match="format"):
+        load_scene(later)

@@ -40,7 +40,7 @@ def force_N(run):
 
 
 def test_a_table_loads_lists_and_refuses():
-    table = Registry("renderer", {"proxy": "tissue.haptics.renderer:proxy"})
+    table = Registry("renderer", {"proxy": dict})
     assert list(table) == ["proxy"] and len(table) == 1 and "proxy" in table and callable(table["proxy"])
     with pytest.raises(
         InputError, match=r"^renderer must be one of proxy, got prox \(did you mean proxy\?\): choose one"
@@ -49,7 +49,7 @@ def test_a_table_loads_lists_and_refuses():
     with pytest.raises(
         InputError, match=r"^name must be none of proxy, got proxy: choose another name for this renderer$"
     ):
-        table.add("proxy", "elsewhere:proxy")
+        table.add("proxy", dict)
     table.remove("proxy")
     assert table.names == ()
     with pytest.raises(InputError, match=r"^renderer must be one of"):
@@ -67,7 +67,7 @@ def test_a_device_from_outside_is_held(added):
     assert 0.19 < force_N(weak).max() <= 0.2 and force_N(strong).max() > 0.5
     with pytest.raises(
         InputError,
-        match=r"device must be one of none, touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, feather, got fether \(did",
+        match=r"device.kind must be one of touch, omni, six-dof, haply, forcedimension, sigma-7, openhaptics, network, recorded, feather, got fether \(did",
     ):
         load_scene("wall", {"device": "fether"})
     with pytest.raises(
@@ -106,7 +106,7 @@ def test_a_renderer_from_outside_plays(added):
         InputError, match=r"renderer must be one of penalty, passivity, proxy, half, got halv \(did you"
     ):
         load_scene("wall", {"renderer": "halv"})
-    assert Scene.model_json_schema()["properties"]["renderer"]["enum"][-1] == "half"
+    assert Scene.model_json_schema()["$defs"]["Device"]["properties"]["renderer"]["enum"][-1] == "half"
 
 
 class Third:
@@ -169,10 +169,11 @@ def test_a_perceptual_map_from_outside_scales(added):
     assert force_N(quarter).max() < 0.5 * force_N(whole).max()
     for refused in ("share:", "share", "shares:1"):
         with pytest.raises(
-            InputError, match=r"^perception must be one of none, population, observer:FILE, share:NUMBER, got share"
+            InputError,
+            match=r"^device.perception must be one of none, population, observer:FILE, share:NUMBER, got share",
         ):
             load_scene("wall", {"perception": refused})
-    pattern = Scene.model_json_schema()["properties"]["perception"]["pattern"]
+    pattern = Scene.model_json_schema()["$defs"]["Device"]["properties"]["perception"]["pattern"]
     assert pattern == "^(none|population|observer:.+|share:.+)$"
 
 

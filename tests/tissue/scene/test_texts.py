@@ -2,6 +2,7 @@
 
 import pytest
 
+from tissue.scene.anatomy import BlockSurface
 from tissue.scene.load import load_scene
 from tissue.scene.texts import folders_of
 
@@ -18,7 +19,7 @@ from tissue.scene.texts import folders_of
 )
 def test_folders_end_before_the_name_of_the_file(file, folders):
     scene = load_scene("milling")
-    there = scene.anatomy.model_copy(update={"file": file})  # a scene that is read makes a file absolute
+    there = BlockSurface(file=file)  # a scene that is read makes a file absolute
     assert folders_of(scene.model_copy(update={"anatomy": there})) == folders
 
 

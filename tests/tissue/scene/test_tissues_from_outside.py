@@ -10,9 +10,11 @@ from outside_tissue import CHANGES, ENTRY
 from pydantic import Field
 
 from tissue import InputError, Scene, load_scene, simulate
+from tissue.builders.force_met import chosen_scale
 from tissue.cutters.profile import cylinder
 from tissue.evaluation.charts.frontier import frontier_of
 from tissue.evaluation.charts.pictures import draw_frontiers
+from tissue.figures.faces import faces_of
 from tissue.models.needle.parameters import needle_tissue
 from tissue.models.organ.probe import SphereProbe
 from tissue.motion.motion import Motion
@@ -29,7 +31,6 @@ from tissue.scene.registry import (
 )
 from tissue.simulation.run_folder import SavedRun
 from tissue.system.offscreen import draw_apart
-from tissue.viewer.saved_surfaces import faces_of
 
 
 def test_a_cutter_from_outside_cuts(added):
@@ -138,7 +139,7 @@ def test_a_motion_from_outside_moves(added):
     for key, value, refusal in (
         ("motion.kind", "dipp", r"^motion.kind must be one of path, thrust, replay, dip, got dipp \(did you mean dip"),
         ("motion.speed_mm_s", 0.0, r"^motion.speed_mm_s must be greater than 0 and at most 100, got 0"),
-        ("motion.feed_mm_s", 1.0, r"^motion.feed_mm_s must be one of kind, speed_mm_s, got feed_mm_s"),
+        ("motion.feed_mm_s", 1.0, r"^motion.feed_mm_s must be left out for a dip, got 1"),
     ):
         with pytest.raises(InputError, match=refusal):
             load_scene("wall", changes | {key: value})
@@ -150,8 +151,8 @@ def test_a_tissue_from_outside_is_met(added):
     run = simulate(load_scene("palpation", changes))
     force, depth = run.trace["model_force_z_N"], run.trace["depth_mm"]
     np.testing.assert_allclose(force, 0.1 * depth, atol=1e-12)
-    assert load_scene("palpation", changes | {"device": "touch"}).force_scale == 0.028  # 0.35 of 3.3 N for 40 N
-    assert depth[-1] > 1.0 and run.scene.force_scale == 1.0 and run.parts.notes["jelly"] == "it is soft"
+    assert chosen_scale(load_scene("palpation", changes | {"device": "touch"}))[0] == 0.028  # 0.35 of 3.3 N for 40 N
+    assert depth[-1] > 1.0 and chosen_scale(run.scene)[0] == 1.0 and run.parts.notes["jelly"] == "it is soft"
     assert Scene.model_validate(run.scene.model_dump()) == run.scene
     for key, value, refusal in (
         (

@@ -120,7 +120,7 @@ def test_a_mouse_moves_the_tool_on_the_devices_spring_until_the_window_is_closed
     monkeypatch.setattr("tissue.simulation.live.run.display_problem", lambda: None)
     monkeypatch.setattr("tissue.simulation.live.run.WindowProcess", FakeWindow)
     run = run_live(load_scene("wall", {"device": device, "anatomy.stiffness_kN_m": 40.0}))
-    assert len(run.trace.rows) == 600 and run.scene.device == "touch"
+    assert len(run.trace.rows) == 600 and run.scene.held.kind == "touch"
     assert run.trace["device_z_mm"][-1] == pytest.approx(-2.0, abs=0.01)
     # 400 N/m in series with the wall: 2 mm x (1/400 + 1/40000)^-1.
     assert run.trace["model_force_z_N"][-1] == pytest.approx(2e-3 / (1.0 / 400.0 + 1.0 / 4e4), rel=0.01)

@@ -8,7 +8,7 @@ from scene_kinds import kinds, write_files
 
 from meshes.base.errors import InputError
 from tissue.builders.cutting import cutter_of, milled_voxels
-from tissue.builders.registry import motion_of
+from tissue.builders.motions import motion_of
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion

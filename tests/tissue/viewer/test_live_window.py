@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
+from tissue.figures.faces import faces_of
 from tissue.figures.force_depth import draw_wall
 from tissue.simulation.live.shared import BoneShared, OrganShared, SharedArrays
 from tissue.simulation.live.surfaces import FADES_MM, BoneSurface, OrganSurface
 from tissue.viewer.live.live_scene import LiveBone, LiveOrgan
 from tissue.viewer.live.target import KEY_MM, NOTCH_MM, Pointer
-from tissue.viewer.saved_surfaces import faces_of
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -111,8 +111,9 @@ def test_wheel_and_keys_move_it_along_the_axis_and_in_the_view_within_the_box(po
 def test_a_wall_is_a_face_under_all_of_the_path():
     pytest.importorskip("pyvista")
     scene = load_scene("wall")
-    roaming = scene.coupling.model_copy(update={"roam_mm": 40.0})  # as a live run gives the mouse
-    for each, beyond in ((scene, 15.0), (scene.model_copy(update={"coupling": roaming}), 40.0)):
+    coupling = scene.held.coupling.model_copy(update={"roam_mm": 40.0})
+    roaming = scene.held.model_copy(update={"coupling": coupling})  # as a live run gives the mouse
+    for each, beyond in ((scene, 15.0), (scene.model_copy(update={"device": roaming}), 40.0)):
         (face,) = faces_of(each).values()
         expected = (-beyond, 50.0 + beyond, -beyond, beyond, 0.0, 0.0)
         assert tuple(face.bounds) == pytest.approx(expected, abs=1e-3)

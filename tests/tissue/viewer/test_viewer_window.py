@@ -8,12 +8,12 @@ import pytest
 from fake_fields import pressed_run, pressed_series
 
 from tissue import InputError, load_scene
+from tissue.figures.faces import faces_of
 from tissue.figures.figure import field_colours
 from tissue.figures.organ_pictures import draw_press
 from tissue.figures.tool_mesh import tool_surface
 from tissue.scene.tool import Needle, Probe
 from tissue.simulation.run_folder import SavedRun
-from tissue.viewer.saved_surfaces import faces_of
 from tissue.viewer.view import view
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from meshes.base.arrays import Array
-from tissue.builders.prediction import predictor
+from tissue.builders.prediction import maker_of
 from tissue.evaluation.atlas.hands import SIX_DOF, TICK_S, TURN, koopman, relative_error, tapped
 from tissue.evaluation.atlas.page import (
     BLUE,
@@ -120,7 +120,7 @@ def ask() -> list[Answer]:
         path = trained.write(Path(folder) / "wall.npz")
         other = refused(
             "the Koopman predictor of another scene",
-            lambda: predictor("koopman", scene_name="molar", file=str(path), force_limit_N=SIX_DOF.force_limit_N),
+            lambda: maker_of("koopman", scene_name="molar", file=str(path), force_limit_N=SIX_DOF.force_limit_N)(),
         )
         path.write_bytes(path.read_bytes()[:200])
         files = [other, refused("a truncated file", lambda: read_predictor(path))]

@@ -83,8 +83,8 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
         f"{_asked(wanted)}{law}"
     )
     leaves_out = [f"{point.leaves_out}, which no force needs"] if point.leaves_out else []
-    late_ms = at.coupling.delay_ms + at.coupling.model_ms - 1
-    if at.device != "none" and at.prediction in ("none", "hold") and late_ms > 0:
+    late_ms = 0 if at.device is None else at.device.coupling.delay_ms + at.device.coupling.model_ms - 1
+    if at.device is not None and at.device.prediction in ("none", "hold") and late_ms > 0:
         leaves_out.append(f"prediction, so that the force comes up to {late_ms} ms late")
     if leaves_out:
         sentence += f"; leaves out {'; and '.join(leaves_out)}"
@@ -98,13 +98,13 @@ def _asked(wanted: Fidelity) -> str:
 
 def _in_words(scene: Scene, setting: Setting, among: Sequence[Setting]) -> str:
     """Return a setting, and those that it was chosen among, in words."""
-    if scene.device == "none":
+    if scene.device is None:
         return f"{setting.name}, of {'; '.join(each.name for each in among)}"
     foresight = {"none": "no prediction", "hold": "the tissue's last force held"}
-    predictor = foresight.get(scene.prediction, f"forces predicted by the {scene.prediction} predictor")
+    predictor = foresight.get(scene.held.prediction, f"forces predicted by the {scene.held.prediction} predictor")
     others = "; ".join(each.name for each in among if each is not setting)
-    rate_Hz = 1e3 / scene.coupling.model_ms
+    rate_Hz = 1e3 / scene.held.coupling.model_ms
     return (
-        f"renderer {scene.renderer}, {predictor}, tissue asked at {rate_Hz:g} Hz ({setting.name!r}, rather than "
+        f"renderer {scene.held.renderer}, {predictor}, tissue asked at {rate_Hz:g} Hz ({setting.name!r}, rather than "
         f"{others}), the tissue itself as the scene has it"
     )

@@ -114,7 +114,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
         full = full or (setting.finer and known[key].p99_us > OFFERED_US)
     report(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
     found = Frontier(scene, tuple(points), _gap(scene, path, quick=quick), tuple(offered))
-    if quick or scene.device != "none":
+    if quick or scene.device is not None:
         return found
     short = short or short_of(scene, quick)
     return replace(found, rounding=float32_error(short), law=law_error(short, report=report))
@@ -132,7 +132,7 @@ def _gap(scene: Scene, path: Path, *, quick: bool) -> float:
     gap_file = path.with_suffix(".gap")
     if (kept := read_entry(gap_file)) is None:
         short = short_of(of_model(scene), quick)
-        kept = repr(reference_gap(short, quick=quick, by_hand=scene.device != "none"))
+        kept = repr(reference_gap(short, quick=quick, by_hand=scene.device is not None))
         write_entry(gap_file, kept)
     return float(kept)
 

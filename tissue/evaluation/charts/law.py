@@ -20,9 +20,9 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.regions import faces_of
+from tissue.builders.motions import motion_of
 from tissue.builders.organ import elasticity_of
 from tissue.builders.organ_law import coarser_mesh, hindrance
-from tissue.builders.registry import motion_of
 from tissue.evaluation.charts.keys import scene_text, sources
 from tissue.evaluation.charts.reference import of_model
 from tissue.evaluation.charts.settings import edge_mm, settings_of
@@ -115,7 +115,7 @@ def law_error(scene: Scene, *, report: Progress = silent) -> LawError | None:
         solvers = _solvers(scene, (Law.LINEAR, Law.NEO_HOOKEAN))
         tips_m, direction = _touching(scene, solvers[0])
         assert isinstance(scene.tool, Probe)
-        press = partial(_pressed, tips_m=tips_m, direction=direction, radius_m=0.5e-3 * scene.tool.diameter_mm)
+        press = partial(_pressed, tips_m=tips_m, direction=direction, radius_m=0.5e-3 * scene.tool.size_mm)
         linear_N, depth_m = press(solvers[0])
         neo_N, _ = press(solvers[1])
         return {"depth_m": depth_m, "linear_N": linear_N, "neo_N": neo_N}
@@ -160,7 +160,7 @@ def _touching(scene: Scene, solver: "NewtonSolver") -> tuple[Array, Array]:
     motion = motion_of(scene, step_s=TICK_S)
     corners = motion.sweep_m()
     axis = motion.rotations()[0][:, 2]
-    radius_m = 0.5e-3 * scene.tool.diameter_mm
+    radius_m = 0.5e-3 * scene.tool.size_mm
     along = np.linspace(0.0, arc_length(corners)[-1], POSES)
     surface = solver.body.nodes_m[np.unique(solver.body.space.faces)]
     away, _ = KDTree(surface).query(points_along(corners, along) + radius_m * axis)
@@ -209,10 +209,10 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
         If ticks with the needed law take longer than demanded.
     """
     organ = scene.organ
-    if wanted.force_error is None or scene.device != "none" or organ.law != "linear" or not _pressed_by_a_ball(scene):
+    if wanted.force_error is None or scene.device is not None or organ.law != "linear" or not _pressed_by_a_ball(scene):
         return scene, ""
     assert isinstance(scene.tool, Probe)
-    depth = _greatest_depth_mm(scene) / (0.5 * scene.tool.diameter_mm)
+    depth = _greatest_depth_mm(scene) / (0.5 * scene.tool.size_mm)
     error = linear_error(depth)
     off = f"{100.0 * error:.2g} % off"
     deep = f"{depth:.2g} radii deep"

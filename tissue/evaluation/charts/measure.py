@@ -108,11 +108,11 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     A hand has the same path as a script, so both have the same references, and more time.
     """
     if isinstance(scene.tool, Tool):
-        margin = MARGIN_MM if scene.device == "none" else max(MARGIN_MM, min(scene.voxels.margin_mm, STRAY_MM))
+        margin = MARGIN_MM if scene.device is None else max(MARGIN_MM, min(scene.voxels.margin_mm, STRAY_MM))
         scene = changed(scene, {"voxels.margin_mm": margin})
     span_s = EXCERPT_S[quick]
     short = _until(scene, _first_contact_s(changed(of_model(scene), coarse), span_s) + span_s)
-    if scene.device == "none" or short.duration_s is None:
+    if scene.device is None or short.duration_s is None:
         return short
     return short.model_copy(update={"duration_s": round(short.duration_s + LATE_S, 3)})
 
@@ -184,7 +184,7 @@ def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
             continue
         over_50_ms = force_error(means_over_50_ms(force_N), means_over_50_ms(reference_N))
         errors.append((force_error(force_N, reference_N), over_50_ms))
-    if len(places) == 1 and not (quick and scene.device != "none"):
+    if len(places) == 1 and not (quick and scene.device is not None):
         runs += [_run(scene, setting) for _ in range(REPEATS - 1)]
     took_s = (perf_counter() - started) / len(runs)
     # Other work of the machine only adds time.

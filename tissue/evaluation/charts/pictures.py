@@ -166,7 +166,7 @@ def _draw_both(axes: "Axes", both: Sequence[Frontier]) -> None:
     """Draw the frontiers of one scene by script and by hand."""
     points = []
     for found in both:
-        colour, mark, label = BY["script" if found.scene.device == "none" else "hand"]
+        colour, mark, label = BY["script" if found.scene.device is None else "hand"]
         errors = [100.0 * max(point.force_error, 1e-4) for point in found.best]
         ticks = [point.median_us for point in found.best]
         names = [point.setting.replace(" mm, shell ", ", ") for point in found.best]
@@ -196,7 +196,7 @@ def _percent(error: float) -> float:
 
 def _how(found: Frontier) -> str:
     """Return how the tool of a frontier is moved."""
-    return "by script" if found.scene.device == "none" else f"by hand on {found.scene.device}"
+    return "by script" if found.scene.device is None else f"by hand on {found.scene.held.kind}"
 
 
 def _numbered(axes: "Axes", place: tuple[float, float], number: int, colour: str, mark: str) -> None:

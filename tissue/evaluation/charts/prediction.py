@@ -107,9 +107,9 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
     InputError
         If the scene has no trained predictor or cannot be run.
     """
-    file = scene.coupling.predictor_file
+    file = scene.predictor_file
     trained = Trained.read(Path(file) if file else shipped_file(scene.name), scene=scene.name)
-    limit_N = device_parameters(trial(scene, 0).device, scene.constants).force_limit_N
+    limit_N = device_parameters(trial(scene, 0).held.kind, scene.constants).force_limit_N
     recorder = Recorder()
     steps = trials + max(SIZES) + len(PREDICTORS) + len(SIZES)
 
@@ -170,7 +170,7 @@ def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
     InputError
         If no scene has one.
     """
-    able = [scene for scene in scenes if is_trained(scene.name, scene.coupling.predictor_file)]
+    able = [scene for scene in scenes if is_trained(scene.name, scene.predictor_file)]
     notes = [
         f"{scene.name} is left out: no trained predictor. Train one with 'tissue train {scene.name}'."
         for scene in scenes

@@ -31,7 +31,7 @@ LAST_PLACE_MM = float(np.spacing(np.float32(10.0)))
 
 def of_model(scene: Scene) -> Scene:
     """Return the scene moved by its script, without all that no script depends on."""
-    return changed(scene, {"device": "none", "prediction": "none", "perception": "none", "coupling": None})
+    return changed(scene, {"device": "none"})
 
 
 def grid_force_N(scene: Scene, changes: Changes) -> Array:
@@ -50,7 +50,7 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
 
     By hand it is the played force, and its reference is a loop without delay on the finest model.
     """
-    if scene.device != "none":
+    if scene.device is not None:
         return played_force_N(run.trace), ideal_force_N(run, finest(scene, quick=quick))
     force = run.trace.vectors("model_force", "N")
     if has_exact_geometry(scene):
@@ -83,7 +83,7 @@ def reference_words(scene: Scene, gap: float) -> str:
     model = of_model(scene)
     percent = f"{100.0 * gap:.2g} %"
     exact = has_exact_geometry(model)
-    by_hand = scene.device != "none"
+    by_hand = scene.device is not None
     if exact and not by_hand:
         return f"the exact geometry (known to {percent})"
     if not grids(model, quick=True):

@@ -88,8 +88,8 @@ def charted(scene: Scene) -> list[Scene]:
     presses less than the friction of its device, and its force error would be noise (54 to 200 % in ``milling``).
     """
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
-        return [scene if scene.device == "none" else of_model(scene)]
-    return [by_hand(scene)] if scene.device != "none" else [scene, by_hand(scene)]
+        return [scene if scene.device is None else of_model(scene)]
+    return [by_hand(scene)] if scene.device is not None else [scene, by_hand(scene)]
 
 
 def notes_before(names: Sequence[str]) -> list[str]:
@@ -97,7 +97,7 @@ def notes_before(names: Sequence[str]) -> list[str]:
     notes = []
     for name in names or scene_names():
         for kind in charted(load_scene(name)):
-            if kind.device != "none" and (missing := untrained(kind)):
+            if kind.device is not None and (missing := untrained(kind)):
                 notes.append(
                     f"{name}: {', '.join(missing)} are left out, no trained predictor. "
                     f"Train one with 'tissue train {name}'."
@@ -110,11 +110,11 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
     lines = []
     for each in (frontier for both in found for frontier in both):
         scene = each.scene
-        how = "by script" if scene.device == "none" else f"by hand on {scene.device}"
+        how = "by script" if scene.device is None else f"by hand on {scene.held.kind}"
         lines.append(f"{scene.name} {how}, held to {reference_words(scene, each.gap)}")
         if not isnan(each.rounding):
             lines.append(f"  float32: a path moved by a last place, 1 nm, changes the force by {each.rounding:.1e}")
-        if scene.device == "none" and isinstance(scene.anatomy, SoftAnatomy):
+        if scene.device is None and isinstance(scene.anatomy, SoftAnatomy):
             law = each.law.line() if each.law else "all by the linear law, not compared with a neo-Hookean one"
             lines.append(f"  {law}")
         for point in each.best:
@@ -142,7 +142,7 @@ def _preparations(scene: Scene, *, quick: bool) -> list[Callable[[], None]]:
     """Return calls whose results the measurements of a scene will find in the cache."""
     short = short_of(scene, quick)
     model = short_of(of_model(scene), quick)
-    by_script = scene.device == "none"
+    by_script = scene.device is None
     references: list[Scene] = []
     if by_script and has_exact_geometry(model):
         coarse = settings_of(model, quick=quick)[0].changes

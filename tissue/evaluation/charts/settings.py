@@ -12,7 +12,7 @@ from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy
 from tissue.scene.registry import PREDICTORS, RENDERERS
 from tissue.scene.scene import Scene
-from tissue.scene.tool import PathMotion, Tool
+from tissue.scene.tool import PathMotion, Probe, Tool
 
 __all__ = [
     "PLACES", "Changes", "Setting", "by_hand", "edge_mm", "finest", "grids", "moved", "placed", "refined",
@@ -71,15 +71,15 @@ class Setting:
 
 def by_hand(scene: Scene) -> Scene:
     """Return the scene on a device, with a latency to hide."""
-    changes: dict[str, object] = {} if scene.device != "none" else {"device": "touch"}
-    if scene.coupling.delay_ms == 0:
+    changes: dict[str, object] = {} if scene.device is not None else {"device": "touch"}
+    if scene.device is None or scene.device.coupling.delay_ms == 0:
         changes["coupling.delay_ms"] = LATENCY_MS
     return changed(scene, changes)
 
 
 def untrained(scene: Scene) -> tuple[str, ...]:
     """Return the predictors that need training and have no file for a scene."""
-    if is_trained(scene.name, scene.coupling.predictor_file):
+    if is_trained(scene.name, scene.predictor_file):
         return ()
     return tuple(kind for kind in PREDICTORS if PREDICTORS[kind].trained)
 
@@ -89,7 +89,7 @@ def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
 
     A fidelity is chosen among the quick settings if nothing has been measured yet.
     """
-    if scene.device != "none":
+    if scene.device is not None:
         return list(_loops(scene, quick=quick))
     if isinstance(scene.tool, Tool):
         return list(_voxels(scene, scene.tool, quick=quick))
@@ -133,11 +133,11 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
 
 def placed(scene: Scene) -> list[Scene]:
     """Return the scene at three places where a path leads a tool on a grid, else the scene alone."""
-    if scene.device != "none" or not isinstance(scene.motion, PathMotion):
+    if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return [scene]
     if isinstance(scene.tool, Tool):
         # A peg in its hole leaves the tool half a voxel.
-        step_mm = scene.voxels.spacing_mm * (0.5 if scene.tool.peg_diameter_mm else COARSEST)
+        step_mm = scene.voxels.spacing_mm * (0.5 if scene.tool.peg_mm[0] else COARSEST)
     elif isinstance(scene.anatomy, SoftAnatomy):
         step_mm = edge_mm(scene)
     else:
@@ -157,8 +157,9 @@ def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scen
 
 def edge_mm(scene: Scene) -> float:
     """Return the edge of a tetrahedron under the probe of an organ [mm]."""
-    assert isinstance(scene.anatomy, SoftAnatomy) and not isinstance(scene.tool, Tool)
-    return scene.anatomy.touch_edge_mm or 0.25 * scene.tool.diameter_mm
+    assert isinstance(scene.anatomy, SoftAnatomy)
+    assert isinstance(scene.tool, Probe)
+    return scene.anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
 
 
 def _force_only(scene: Scene) -> tuple[dict[str, object], str]:

@@ -10,7 +10,7 @@ from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
 from tissue.builders.cutting import cutter_of
-from tissue.builders.registry import motion_of
+from tissue.builders.motions import motion_of
 from tissue.builders.voxels import is_procedural, solid_of
 from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, Solid, wrench_at

@@ -121,6 +121,7 @@ TASKS = {
             "anatomy.size_mm": [14, 10, 4],
             "voxels.spacing_mm": 0.1,  # the force is 1 % off that of 0.05 mm voxels and shell
             "tool.shell_spacing_mm": 0.1,
+            "device": "touch",
             "coupling.force_scale": 0.04,  # the one chosen for a path follows its depth, which is the hand's aim here
             # The hand aims as far below the bone, and before the teeth's pull, as its grip gives way to 10 to 15 N.
             "motion.points_mm": [
@@ -156,6 +157,7 @@ TASKS = {
             "anatomy.interval_ms": 0.0,
             "anatomy.membrane_depths_mm": None,
             "motion.points_mm": [[0, 0, 0.05], [0, 0, -60]],  # where a push ends that nobody stops
+            "device": "touch",
             "coupling.force_scale": 1.0,  # the force that the hand raises is the needle's
         },
         specimens=({},),
@@ -166,6 +168,7 @@ TASKS = {
         changes={
             "voxels.spacing_mm": 0.2,
             "voxels.margin_mm": 1.0,
+            "device": "touch",
             "coupling.force_scale": 0.03,
             "motion.points_mm": [[0, 0, 0.3], [0, 0, -3.5], [0, 0, 1]],  # presses with some 40 N, 2 mm deep
             "motion.feed_mm_s": 3.0,

@@ -129,15 +129,15 @@ def pierce(
     InputError
         If the scene has no device or no needle.
     """
-    if scene.device == "none" or not isinstance(scene.motion, PathMotion):
+    if scene.device is None or not isinstance(scene.motion, PathMotion):
         raise InputError("scene must have a device and a path to be pushed, got none: set device, such as touch")
     require_positive("rate_N_s", rate_N_s, f"use {RATE_N_S:g}")
     start, end = 1e-3 * np.array(scene.motion.points_mm[:2])
-    limits = device_parameters(scene.device, scene.constants)
+    limits = device_parameters(scene.held.kind, scene.constants)
     integration_s = constants("perception", "force")["integration_s"].value
     noise, frames = np.random.default_rng([scene.seed, 9]).spawn(2)
     hand = PushingHand(
-        hand_parameters(scene.hand, scene.constants),
+        hand_parameters(scene.held.hand, scene.constants),
         start_m=start,
         direction=(end - start) / np.linalg.norm(end - start),
         rate_N_s=rate_N_s,
@@ -147,7 +147,7 @@ def pierce(
     )
     x, y, z = start.tolist()
     device = SimulatedDevice(limits, hand, position_m=(x, y, z))
-    cue_after_s = 1e-3 * scene.coupling.delay_ms if cue else inf
+    cue_after_s = 1e-3 * scene.held.coupling.delay_ms if cue else inf
     frame_s = float(frames.uniform(0.0, FRAME_S))
     length_m = float(np.linalg.norm(end - start))
     bystander = _Bystander(hand, notice, cue_after_s=cue_after_s, frame_s=frame_s, length_m=length_m)

@@ -17,6 +17,7 @@ from pydantic import Field
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from tissue.builders.force_met import chosen_scale
 from tissue.builders.loop import judged_loop
 from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.calibration.observers import draw_observers
@@ -206,7 +207,7 @@ def _force_scale(scene: Scene) -> float:
 
     The least over a task's specimens is taken for all of them: a scale for each would play them all alike.
     """
-    return changed(scene, {"device": "touch"}).force_scale
+    return chosen_scale(changed(scene, {"device": "touch"}))[0]
 
 
 def _all_specimens(task: str) -> list[Scene]:
@@ -314,7 +315,7 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     if task == "needle":
         found |= _pierced(run)
     if task == "reaming":
-        found["tracking_rms_N"] = found["force_rms_N"] / run.scene.force_scale
+        found["tracking_rms_N"] = found["force_rms_N"] / chosen_scale(run.scene)[0]
         found |= _reamed(run, touching)
     return found
 

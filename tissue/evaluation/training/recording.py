@@ -8,10 +8,12 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
+from tissue.builders.force_met import chosen_scale
 from tissue.builders.hand import hand_motion
 from tissue.builders.loop import judged_loop
 from tissue.builders.loop_settings import loop_settings
-from tissue.builders.registry import build, motion_of
+from tissue.builders.motions import motion_of
+from tissue.builders.registry import build
 from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration
@@ -93,7 +95,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         or cutting coefficients this is the same as all of those changed by it.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
-    held = changed(scene, {"device": "touch" if scene.device == "none" else scene.device})
+    held = scene if scene.device is not None else changed(scene, {"device": "touch"})
     entries = {
         "hand": GROUPS[index % len(GROUPS)],
         "seed": index,
@@ -101,7 +103,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         "perception": "none",
         "coupling.delay_ms": delay,
         "coupling.model_ms": 1,
-        "coupling.force_scale": share * held.force_scale,  # a scale is chosen for a device
+        "coupling.force_scale": share * chosen_scale(held)[0],  # a scale is chosen for a device
     }
     made = changed(held, entries | ({"stress": None} if scene.stress is not None else {}))
     # A loop whose latency is hidden is as stiff as a prompt one, whatever the latency of the trial.
@@ -136,7 +138,7 @@ class Recorder:
             velocity,
             rows[:, 3:6],
             contact,
-            scene.hand,
+            scene.held.hand,
             scene.seed,
             float(np.median(took)),
             rows[:, 6:],

@@ -82,7 +82,7 @@ def train(scene: Scene, *, trials: int = TRIALS, cores: int | None = None, progr
         runs.append(recorder.record(trial(scene, index)))
     progress("fitting", trials / (trials + 2))
     kept = [run for index, run in enumerate(runs) if index % HELD_OUT != HELD_OUT - 1]
-    limit = device_parameters(trial(scene, 0).device, scene.constants).force_limit_N
+    limit = device_parameters(trial(scene, 0).held.kind, scene.constants).force_limit_N
     trained = with_fallback(fit(scene.name, kept), kept, limit)
     progress("validating", (trials + 1) / (trials + 2))
     return validated(trained, runs[HELD_OUT - 1 :: HELD_OUT], limit)

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from tissue.builders.device import opened_device, opens_device
+from tissue.builders.motions import motion_of
 from tissue.builders.parts import Parts
-from tissue.builders.registry import motion_of
 from tissue.haptics.device.recorded import MouseDevice
+from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.live.clock import BEHIND_S, LOOK_TICKS, Prioritised, WallClock
@@ -87,7 +88,7 @@ class LiveSettings:
         if problem is None:
             return True, "the mouse moves the tool in a window; it feels nothing, the force is shown"
         script = (
-            "the scripted motion moves the tool" if scene.device == "none" else f"a simulated {scene.hand} moves it"
+            "the scripted motion moves the tool" if scene.device is None else f"a simulated {scene.held.hand} moves it"
         )
         return False, f"no window, for {problem}: {script}"
 
@@ -111,7 +112,7 @@ class LiveSettings:
         require_web()
         if opens_device(scene):
             raise InputError(
-                f"--web must be left out with a real device, which runs without any window, got {scene.device}: "
+                f"--web must be left out with a real device, which runs without any window, got {scene.held.kind}: "
                 "leave it out, or set device = touch to use the mouse"
             )
 
@@ -145,10 +146,11 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     how.check(scene)
     by_mouse, note = how.mover(scene)
     if by_mouse:
-        device = REPLACED_DEVICE if scene.device == "none" else scene.device
+        device = scene.device or StatedDevice(kind=REPLACED_DEVICE)
         roam_mm = ROAM_ON_WALL_MM if scene.anatomy.kind == "wall" else ROAM_MM
-        coupling = scene.coupling.model_copy(update={"roam_mm": scene.coupling.roam_mm or roam_mm})
-        changes = {"device": device, "duration_s": how.duration_s or LONGEST_S, "coupling": coupling}
+        coupling = device.coupling.model_copy(update={"roam_mm": device.coupling.roam_mm or roam_mm})
+        device = device.model_copy(update={"coupling": coupling})
+        changes = {"device": device, "duration_s": how.duration_s or LONGEST_S}
         scene = scene.model_copy(update=changes)
         settings["cores"] = settings.get("cores") or max((os.cpu_count() or 2) - 1, 1)
         settings["allow_unstable"] = True
@@ -182,7 +184,7 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     run.parts.notes |= {name: publisher.note for name, publisher in publishers.items()}
     if mouse is not None:
         held = "a pose from 3D Slicer" if how.by_slicer else "a mouse"
-        run.parts.notes["coupling"] = f"{held} in place of the {scene.device} and its hand, " + scene.renderer
+        run.parts.notes["coupling"] = f"{held} in place of the {scene.held.kind} and its hand, " + scene.held.renderer
     return run
 
 
@@ -238,7 +240,7 @@ class LiveObserver(RunObserver):
         self._frames = -1
         self._drawn_s = 0.0
         self._start = np.array(start_m(scene))
-        self._scale = scene.coupling.motion_scale
+        self._scale = scene.motion_scale
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window; from here on Ctrl-C ends the run after its tick."""

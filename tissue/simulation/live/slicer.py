@@ -55,7 +55,7 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
     InputError
         If the port is none or another program has it, or a page or a real device moves the tool that this is to move.
     """
-    mover = "--web" if web else scene.device if opens_device(scene) else None
+    mover = "--web" if web else scene.held.kind if opens_device(scene) else None
     if link.drives and mover is not None:
         raise InputError(
             f"--slicer-drives must be left out where something else moves the tool, got {mover}: leave one of both out"
@@ -164,7 +164,7 @@ class SlicerPublisher(Publisher[SlicerProcess]):
 
     def _begun(self, parts: Parts, columns: tuple[str, ...], low_m: Array, high_m: Array) -> SlicerProcess:
         self._start = parts.motion.sweep_m()[0]
-        self._scale = self._scene.coupling.motion_scale
+        self._scale = self._scene.motion_scale
         return SlicerProcess(self._scene, parts, columns, low_m=low_m, high_m=high_m, link=self._link)
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:

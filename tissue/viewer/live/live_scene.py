@@ -8,6 +8,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from tissue.figures.faces import faces_of
 from tissue.figures.figure import layer_colours
 from tissue.figures.tool_mesh import tool_turns, turning_tool
 from tissue.scene.scene import Scene
@@ -19,7 +20,6 @@ from tissue.simulation.trace import Table
 from tissue.viewer.bone import layer_look
 from tissue.viewer.moment import ToolShown
 from tissue.viewer.plotter import Plotter, aim, new_plotter
-from tissue.viewer.saved_surfaces import faces_of
 
 __all__ = ["DEVICE", "LiveBone", "LiveOrgan", "LiveScene", "Readings", "live_tissue"]
 
