@@ -11,9 +11,8 @@ from meshes.base.placement import Placement
 from meshes.base.simplices import cross_products
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
-from meshes.surfaces.glenoid_search import sample_surface
 from meshes.surfaces.repair import Triangles
-from meshes.surfaces.site import Site
+from meshes.surfaces.site import Site, sample_surface
 from meshes.surfaces.surface import Surface, read_surface
 from meshes.tooth.checks import require_known, require_pulp_within, require_tooth_size, require_touching
 from meshes.tooth.layer_contact import PITCH_M, LayerContact, inside_lattice, measure_contact

@@ -22,7 +22,7 @@ USUAL = (
 """Site that is searched for on a bone where none is asked for, by a word in the name of its label."""
 JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
 """Distance from the site across its normal within which the surface is a joint's [mm]: half of the glenoid's height of
-37 mm, and a cap of the heads, whose radii are 21 to 27 (`meshes.surfaces.glenoid`, `meshes.surfaces.site_search`)."""
+37 mm, and a cap of the heads, whose radii are 21 to 27 (`meshes.surfaces.glenoid`, `meshes.surfaces.landmarks`)."""
 KEYS = {
     "anatomy.centre_mm": "site",
     "anatomy.normal": "normal",
@@ -104,7 +104,7 @@ def _pointed(site: Site) -> tuple[Placed, str]:
 
 def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
     """The site of a kind with its score and that of the second best."""
-    from meshes.surfaces.site_search import find_site
+    from meshes.surfaces.landmarks import find_site
 
     with _own_words():
         found = find_site(kind, surface)

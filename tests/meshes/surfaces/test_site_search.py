@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from meshes.base.errors import InputError
 from meshes.images.reading import read_image
 from meshes.images.threshold_surface import image_triangles
-from meshes.surfaces.site_search import SITE_KINDS, find_site
+from meshes.surfaces.landmarks import SITE_KINDS, find_site
 from meshes.surfaces.surface import read_surface, surface_from_triangles
 
 ANATOMY = Path(__file__).resolve().parents[4] / "shared" / "anatomy"
