@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, counted
-from meshes.images.frame import Image
-from meshes.images.part import box_of, part_of
+from meshes.images.frame import Image, box_of, part_of
 from meshes.images.threshold_surface import image_cuts, image_triangles
 
 __all__ = ["kept_label"]

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, counted
 from meshes.base.simplices import enclosed_volume
 from meshes.ct.threshold import filled, largest_component
-from meshes.images.frame import Image
-from meshes.images.part import box_of, part_of
+from meshes.images.frame import Image, box_of, part_of
 from meshes.images.threshold_surface import image_cuts, image_triangles
 
 __all__ = ["BoneOfImage", "by_label", "by_threshold", "cropped"]

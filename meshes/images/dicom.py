@@ -16,8 +16,17 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, by
 from meshes.base.file_limits import memory_limit_bytes, require_memory
-from meshes.images.dicom_stack import Slice, stack_step
-from meshes.images.dicom_values import INVERTED, Header, both_ends, number, numbers, replace_padding, upright
+from meshes.images.dicom_stack import (
+    INVERTED,
+    Header,
+    Slice,
+    both_ends,
+    number,
+    numbers,
+    replace_padding,
+    stack_step,
+    upright,
+)
 from meshes.images.frame import StoredImage
 from meshes.images.itk import array_of, itk_reader
 

@@ -4,7 +4,7 @@ LPS is the frame of DICOM and ITK: +x towards the patient's left, +y towards the
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import TypeVar
 
@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, by, in_brackets
 
-__all__ = ["Image", "StoredImage", "along_lps"]
+__all__ = ["Image", "StoredImage", "along_lps", "box_of", "part_of"]
 
 Kind = TypeVar("Kind", bound=np.generic)
-
 _FARTHEST_VOXELS = 0.01
 _FLATTEST = 1e-3
 _LARGEST_MM = 10_000.0
@@ -198,3 +197,18 @@ def _require_frame(stored: StoredImage, source: str) -> None:
 def _triple(numbers: NDArray[np.float64]) -> tuple[float, float, float]:
     x, y, z = (float(number) + 0.0 for number in numbers)  # no minus before a zero
     return x, y, z
+
+
+def box_of(mask: NDArray[np.bool_], margin: int = 0) -> tuple[slice, ...]:
+    """Slices that hold all of a mask that is not empty, and so many voxels around as there are."""
+    found = []
+    for axis, count in enumerate(mask.shape):
+        along = np.flatnonzero(mask.any(axis=tuple(k for k in range(mask.ndim) if k != axis)))
+        found.append(slice(max(int(along[0]) - margin, 0), min(int(along[-1]) + 1 + margin, count)))
+    return tuple(found)
+
+
+def part_of(image: Image, box: tuple[slice, ...]) -> Image:
+    """The image within slices that have a start each, its origin moved along."""
+    x, y, z = (o + s * each.start for o, s, each in zip(image.origin_mm, image.spacing_mm, box, strict=True))
+    return replace(image, values=np.ascontiguousarray(image.values[box]), origin_mm=(x, y, z))

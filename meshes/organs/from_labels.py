@@ -16,12 +16,12 @@ from meshes.base.errors import InputError, by, counted, names_of_caller, require
 from meshes.base.progress import Progress, silent
 from meshes.base.simplices import cross_products
 from meshes.ct.labels import Labels
-from meshes.images.part import box_of
+from meshes.images.frame import box_of
 from meshes.organs.label_surface import LabelGrid, label_triangles
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.tets.bisection import bisected
-from meshes.tets.inclusions import area_of, with_inclusion
 from meshes.tets.quality import repair_tets
+from meshes.tets.stuffing import area_of, with_inclusion
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
 from meshes.voxels.mesh_sampling import nearest_on_triangles

@@ -7,7 +7,7 @@ from typing import Any
 from meshes.base.errors import InputError, names_of_caller, require_positive
 from meshes.base.progress import Progress
 from meshes.surfaces.surface import Surface
-from meshes.tets.inclusions import with_inclusion
+from meshes.tets.stuffing import with_inclusion
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.builders.organ_given import surface_of
 from tissue.builders.organ_made import MadeOrgan, made_of, material_of

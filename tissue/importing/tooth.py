@@ -12,7 +12,7 @@ from meshes.base.whole_file import whole_file
 from meshes.ct.inspection import inspect
 from meshes.ct.label_check import bone_label_note
 from meshes.ct.labels import Labels, on_grid_of, read_labels
-from meshes.images.part import box_of, part_of
+from meshes.images.frame import box_of, part_of
 from meshes.images.reading import read_image
 from meshes.tooth.layers import TOOTH_LAYERS
 from tissue.importing.folder import SCENE, Imported, import_folder, write_labels

@@ -12,7 +12,7 @@ from meshes.organs.from_labels import labelled_organ, organ_mesh
 from meshes.organs.label_surface import LabelGrid, label_triangles
 from meshes.tets.checks import mean_ratio
 from meshes.tets.files import read_tets
-from meshes.tets.grid import write_organ
+from meshes.tets.tetrahedra import write_organ
 from meshes.tets.tetrahedra import TetMesh
 
 ORGAN_MM3 = 4.0 / 3.0 * np.pi * np.prod(RADII_MM)
