@@ -71,8 +71,10 @@ def parse_isolated(
     """
     if not sys.executable:
         raise InputError(
-            f"file must be read by a second Python, which this one cannot start, got {file.name}: read it from the "
-            "command line"
+            "file",
+            "be read by a second Python, which this one cannot start",
+            file.name,
+            "read it from the command line",
         )
     if not file.is_dir():
         require_regular(file)
@@ -94,16 +96,16 @@ def parse_isolated(
             process.wait()
             reason = monitor.reason or ("it takes too much memory" if isinstance(problem, MemoryError) else "")
             reason = reason or f"its parser crashed with exit code {process.returncode}"
-            raise InputError(f"file must be a readable {what}, got {file.name} ({reason}): {remedy}") from None
+            raise InputError("file", f"be a readable {what}", f"{file.name} ({reason})", remedy) from None
         except BaseException:
             process.kill()
             raise
         finally:
             monitor.done.set()
     if "refused" in answer:
-        raise InputError(answer["refused"])
+        raise InputError(*answer["refused"])
     if "problem" in answer:
-        raise InputError(f"file must be a readable {what}, got {file.name} ({answer['problem']}): {remedy}")
+        raise InputError("file", f"be a readable {what}", f"{file.name} ({answer['problem']})", remedy)
     return answer["facts"], arrays
 
 
@@ -167,7 +169,7 @@ def _serve() -> None:
         arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
         answer = {"facts": facts, "arrays": [(key, each.dtype.str, each.shape) for key, each in arrays.items()]}
     except InputError as problem:
-        answer = {"refused": str(problem)}
+        answer = {"refused": [str(field) for field in problem.args]}
     except DamagedFileError as problem:
         answer = {"problem": " ".join(str(problem).split())[:160]}
     except Exception:  # the libraries raise many kinds, none documented

@@ -80,7 +80,9 @@ class Placement:
             rigid, unit = False, 0.0
         if not (rigid and np.isfinite(unit) and unit > 0.0):
             raise InputError(
-                "placement must hold file_to_scene_mm, a rigid motion of 4 x 4 numbers, and file_unit_mm, got "
-                f"{record!r:.200}: run the scene again"
+                "placement",
+                "hold file_to_scene_mm, a rigid motion of 4 x 4 numbers, and file_unit_mm",
+                f"{record!r:.200}",
+                "run the scene again",
             )
         return cls(-turn.T @ matrix[:3, 3], turn.T, unit)

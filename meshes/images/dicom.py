@@ -74,8 +74,10 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
     files = [file for file in sorted(folder.iterdir()) if _may_be_slice(file)]
     if not files:
         raise InputError(
-            f"file must hold images, got the folder {folder.name} without DICOM files or TIFF slices: "
-            "give the folder that holds the slices"
+            "file",
+            "hold images",
+            f"the folder {folder.name} without DICOM files or TIFF slices",
+            "give the folder that holds the slices",
         )
     places = [f"file {k + 1} of {len(files)} in the order of names in {folder.name}" for k in range(len(files))]
     headers = [_header(file, place) for file, place in zip(files, places, strict=True)]
@@ -86,8 +88,10 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
     slices = [_slice(header, place) for header, place in zip(headers, places, strict=True)]
     if len({header["PhotometricInterpretation"] for header in headers}) > 1:
         raise InputError(
-            f"slices must all have one photometric interpretation, got {' and '.join(_GREY)} in {folder.name}: export "
-            "the series again"
+            "slices",
+            "all have one photometric interpretation",
+            f"{' and '.join(_GREY)} in {folder.name}",
+            "export the series again",
         )
     size = (*slices[0].size, len(slices))
     most_bytes = max(int(header["BitsAllocated"] or 0) for header in headers) // 8
@@ -127,7 +131,7 @@ def _header(file: Path, place: str) -> Header:
     with file.open("rb") as stream:
         head = stream.read(_PREAMBLE + len(_MAGIC))
     if head[_PREAMBLE:] != _MAGIC:
-        raise InputError(f"a DICOM folder must hold DICOM files only, got another kind as {place}: take it out")
+        raise InputError("a DICOM folder", "hold DICOM files only", f"another kind as {place}", "take it out")
     try:
         with warnings.catch_warnings():  # they quote what they complain of
             warnings.simplefilter("ignore")
@@ -146,13 +150,15 @@ def _header(file: Path, place: str) -> Header:
     except InputError:
         raise
     except Exception as problem:  # damaged headers raise many kinds
-        raise InputError(_damaged(place)) from problem
+        raise _damaged(place) from problem
     if compressed != in_parts:
-        raise InputError(_damaged(place))
+        raise _damaged(place)
     if not compressed and found != needed + needed % 2:
         raise InputError(
-            f"a DICOM slice must hold the {needed} bytes of pixels that its header states, got {found} in {place}: "
-            "export the series again"
+            "a DICOM slice",
+            f"hold the {needed} bytes of pixels that its header states",
+            f"{found} in {place}",
+            "export the series again",
         )
     return header
 
@@ -173,8 +179,8 @@ def _require_inflated(file: Path) -> None:
     require_memory(found, file.parent.name, "a deflated slice")
 
 
-def _damaged(place: str) -> str:
-    return f"a DICOM slice must be whole and readable, got a damaged one, {place}: export the series again"
+def _damaged(place: str) -> InputError:
+    return InputError("a DICOM slice", "be whole and readable", f"a damaged one, {place}", "export the series again")
 
 
 def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
@@ -182,8 +188,10 @@ def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
     if len(found) > 1:
         raise InputError(
-            f"a DICOM folder must hold one series, got {len(found)} in {folder.name} ({_named(headers)}): "
-            "give each a folder of its own, or let `tissue import --series NUMBER` take one"
+            "a DICOM folder",
+            "hold one series",
+            f"{len(found)} in {folder.name} ({_named(headers)})",
+            "give each a folder of its own, or let `tissue import --series NUMBER` take one",
         )
 
 
@@ -197,7 +205,7 @@ def _of_series(headers: Sequence[Header], number: int, folder: Path) -> list[int
     """Which files belong to the series of a number."""
     chosen = [k for k, header in enumerate(headers) if _whole(header) == str(number)]
     if not chosen:
-        raise InputError(f"series must be one that {folder.name} holds, got {number}: it holds {_named(headers)}")
+        raise InputError("series", f"be one that {folder.name} holds", number, f"it holds {_named(headers)}")
     return chosen
 
 
@@ -214,12 +222,14 @@ def _slice(header: Header, place: str) -> Slice:
     """Place and size of a slice."""
     if int(header["NumberOfFrames"] or 1) != 1:
         raise InputError(
-            f"a DICOM slice must hold one frame, got several in {place}: export one file a slice, or as .nrrd"
+            "a DICOM slice", "hold one frame", f"several in {place}", "export one file a slice, or as .nrrd"
         )
     if header["PhotometricInterpretation"] not in _GREY or header["SamplesPerPixel"] != 1:
         raise InputError(
-            f"a DICOM slice must hold grey values (MONOCHROME2 or MONOCHROME1), got other values in {place}: take it "
-            "out, or export grey values"
+            "a DICOM slice",
+            "hold grey values (MONOCHROME2 or MONOCHROME1)",
+            f"other values in {place}",
+            "take it out, or export grey values",
         )
     both = numbers(header, "ImageOrientationPatient", 6, place)
     down, along = numbers(header, "PixelSpacing", 2, place).tolist()
@@ -239,7 +249,7 @@ def _pixels(file: Path, stated: Slice) -> NDArray[np.number]:
     try:
         plane = array_of(itk_reader(file, "GDCMImageIO").Execute())
     except (RuntimeError, MemoryError) as problem:
-        raise InputError(_damaged(stated.place)) from problem
+        raise _damaged(stated.place) from problem
     if plane.shape != (*stated.size, 1):
-        raise InputError(_damaged(stated.place))
+        raise _damaged(stated.place)
     return plane.T

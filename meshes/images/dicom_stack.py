@@ -64,7 +64,7 @@ def stack_step(slices: Sequence[Slice], source: str) -> tuple[list[int], NDArray
         a tilt that their positions do not show.
     """
     if len(slices) < 2:
-        raise InputError(f"a DICOM folder must hold two slices or more, got one in {source}: give the whole series")
+        raise InputError("a DICOM folder", "hold two slices or more", f"one in {source}", "give the whole series")
     first = slices[0]
     normal = _normal(first)
     for other in slices[1:]:
@@ -75,8 +75,10 @@ def stack_step(slices: Sequence[Slice], source: str) -> tuple[list[int], NDArray
             or turned > _PARALLEL
         ):
             raise InputError(
-                f"slices must have one size, pixel spacing and orientation, got another in {other.place}: "
-                "take localisers and reformatted images out of the folder"
+                "slices",
+                "have one size, pixel spacing and orientation",
+                f"another in {other.place}",
+                "take localisers and reformatted images out of the folder",
             )
     heights = np.array([other.position_mm @ normal for other in slices])
     order = [int(k) for k in np.argsort(heights, kind="stable")]
@@ -87,8 +89,10 @@ def stack_step(slices: Sequence[Slice], source: str) -> tuple[list[int], NDArray
     gap = float(step @ normal)
     if np.abs(places - even).max() > _UNEVEN * gap:
         raise InputError(
-            f"slices must lie on one line, got positions that stray {np.abs(places - even).max():.3g} mm from it in "
-            f"{source}: export one reconstruction"
+            "slices",
+            "lie on one line",
+            f"positions that stray {np.abs(places - even).max():.3g} mm from it in {source}",
+            "export one reconstruction",
         )
     return order, step, _shear_notes(step, normal, max((s.tilt_deg for s in slices), key=abs), source)
 
@@ -98,8 +102,10 @@ def _normal(first: Slice) -> NDArray[np.float64]:
     lengths = np.linalg.norm([first.row, first.column], axis=1)
     if np.abs(lengths - 1.0).max() > _UNIT or abs(float(first.row @ first.column)) > _UNIT:
         raise InputError(
-            f"the orientation of a DICOM slice must be two unit vectors at a right angle, got other in {first.place}: "
-            "export the series again"
+            "the orientation of a DICOM slice",
+            "be two unit vectors at a right angle",
+            f"other in {first.place}",
+            "export the series again",
         )
     normal: NDArray[np.float64] = np.cross(first.row, first.column)
     return normal / np.linalg.norm(normal)
@@ -111,8 +117,10 @@ def _require_even(heights: NDArray[np.float64], source: str) -> None:
     usual = float(gaps.min())
     if usual <= _UNEVEN * max(float(np.median(gaps)), 1e-6):
         raise InputError(
-            f"slices must each lie in a place of their own, got two at one place in {source}: leave one phase or "
-            "reconstruction in the folder"
+            "slices",
+            "each lie in a place of their own",
+            f"two at one place in {source}",
+            "leave one phase or reconstruction in the folder",
         )
     widest = float(gaps.max())
     if widest - usual <= _UNEVEN * widest:
@@ -121,12 +129,16 @@ def _require_even(heights: NDArray[np.float64], source: str) -> None:
     if (np.abs(times - np.rint(times)) <= _UNEVEN * times).all():
         missing = int(np.rint(times).sum()) - len(gaps)
         raise InputError(
-            f"slices must follow each other without a gap, got {widest:.4g} mm where others are {usual:.4g} mm apart "
-            f"in {source}, {missing} missing: export the whole series"
+            "slices",
+            "follow each other without a gap",
+            f"{widest:.4g} mm where others are {usual:.4g} mm apart in {source}, {missing} missing",
+            "export the whole series",
         )
     raise InputError(
-        f"slices must be evenly spaced, got distances of {gaps.min():.4g} to {widest:.4g} mm in {source}: resample the "
-        "series, or export the part that is even"
+        "slices",
+        "be evenly spaced",
+        f"distances of {gaps.min():.4g} to {widest:.4g} mm in {source}",
+        "resample the series, or export the part that is even",
     )
 
 
@@ -136,8 +148,10 @@ def _shear_notes(step: NDArray[np.float64], normal: NDArray[np.float64], tilt_de
     shear_deg = float(np.degrees(np.arctan2(np.linalg.norm(step - along * normal), along)))
     if abs(tilt_deg) > _TILT_DEG and abs(abs(tilt_deg) - shear_deg) > _TILT_DEG:
         raise InputError(
-            f"positions must show the tilt of the gantry, got {tilt_deg:g} degrees stated and {shear_deg:.2g} shown in "
-            f"{source}: export the series resampled to straight slices"
+            "positions",
+            "show the tilt of the gantry",
+            f"{tilt_deg:g} degrees stated and {shear_deg:.2g} shown in {source}",
+            "export the series resampled to straight slices",
         )
     if shear_deg <= _SHEAR_DEG:
         return []
@@ -154,8 +168,10 @@ def numbers(header: Header, key: str, count: int, place: str) -> NDArray[np.floa
         found = np.empty(0)
     if found.shape != (count,) or not np.isfinite(found).all():
         raise InputError(
-            f"{key} must be {count} finite {'number' if count == 1 else 'numbers'}, got none or others in {place}: "
-            "export the series again"
+            key,
+            f"be {count} finite {('number' if count == 1 else 'numbers')}",
+            f"none or others in {place}",
+            "export the series again",
         )
     return found
 
@@ -204,8 +220,10 @@ def upright(
         return stated, f"{source} displays low values as white (MONOCHROME1): its rescale leads to grey values."
     if has_slope and air == air_inverted:
         raise InputError(
-            f"it must be known whether values of {INVERTED} are inverted, got slices without air in {source}: export "
-            "them as MONOCHROME2"
+            "it",
+            f"be known whether values of {INVERTED} are inverted",
+            f"slices without air in {source}",
+            "export them as MONOCHROME2",
         )
     return values, f"The grey values of {source} are stored inverted (MONOCHROME1): they are inverted back."
 

@@ -119,8 +119,10 @@ def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
     count = np.ceil((high - low) / spacing - 1e-6).astype(int) + 1
     if math.prod(count.tolist()) > _MOST_VOXELS:
         raise InputError(
-            f"an image along oblique axes must leave at most {_MOST_VOXELS:.0e} voxels once resampled, got "
-            f"{math.prod(count.tolist()):.2g} in {source}: crop it, or resample it coarser along the patient's axes"
+            "an image along oblique axes",
+            f"leave at most {_MOST_VOXELS:.0e} voxels once resampled",
+            f"{math.prod(count.tolist()):.2g} in {source}",
+            "crop it, or resample it coarser along the patient's axes",
         )
     at = inverse * spacing, inverse @ (low - stored.origin_mm), tuple(count.tolist())
     values = _sampled(stored.values, *at, order=0) if labels else _interpolated(stored.values.astype(np.float32), *at)
@@ -179,19 +181,23 @@ def _require_frame(stored: StoredImage, source: str) -> None:
     spacing = np.array(stored.spacing_mm)
     if not (np.isfinite(spacing).all() and (spacing >= _SMALLEST_MM).all() and (spacing <= _LARGEST_MM).all()):
         raise InputError(
-            f"spacing must be in [{_SMALLEST_MM:g}, {_LARGEST_MM:g}] mm, got {by(spacing)} "
-            f"in {source}: mend the header, or set anatomy.spacing_mm"
+            "spacing",
+            f"be in [{_SMALLEST_MM:g}, {_LARGEST_MM:g}] mm",
+            f"{by(spacing)} in {source}",
+            "fix the header, or give the spacing",
         )
     if not (np.isfinite(stored.origin_mm).all() and (np.abs(stored.origin_mm) <= _FARTHEST_ORIGIN_MM).all()):
         raise InputError(
-            f"the origin must be finite and within {_FARTHEST_ORIGIN_MM:g} mm, got "
-            f"{in_brackets(stored.origin_mm)} in {source}: mend the header"
+            "the origin",
+            f"be finite and within {_FARTHEST_ORIGIN_MM:g} mm",
+            f"{in_brackets(stored.origin_mm)} in {source}",
+            "mend the header",
         )
     lengths = np.linalg.norm(stored.directions, axis=0)
     if not np.allclose(lengths, 1.0, rtol=0.0, atol=_FLATTEST):
-        raise InputError(f"directions must be of length 1, got {by(lengths)} in {source}: mend the header")
+        raise InputError("directions", "be of length 1", f"{by(lengths)} in {source}", "mend the header")
     if not abs(float(np.linalg.det(stored.directions))) >= _FLATTEST:
-        raise InputError(f"the axes must span space, got directions in one plane in {source}: mend the header")
+        raise InputError("the axes", "span space", f"directions in one plane in {source}", "mend the header")
 
 
 def _triple(numbers: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -43,7 +43,7 @@ def vtk_voxels(file: Path) -> Answer:
     data = read_vtk(file)
     if not isinstance(data, pyvista.ImageData) or not data.array_names:
         raise InputError(
-            f"file must hold an image volume, got {type(data).__name__} without voxels in {file.name}: export it again"
+            "file", "hold an image volume", f"{type(data).__name__} without voxels in {file.name}", "export it again"
         )
     name = data.active_scalars_name or data.array_names[0]
     by_cell = name in data.cell_data
@@ -51,8 +51,10 @@ def vtk_voxels(file: Path) -> Answer:
     values = np.asarray(data.cell_data[name] if by_cell else data.point_data[name])
     if values.ndim != 1 or 0 in shape or values.size != int(np.prod(shape)):
         raise InputError(
-            f"file must hold one number per voxel, got an array of shape {values.shape} in {file.name}: export grey "
-            "values"
+            "file",
+            "hold one number per voxel",
+            f"an array of shape {values.shape} in {file.name}",
+            "export grey values",
         )
     directions = np.asarray(data.direction_matrix, dtype=np.float64)
     origin = np.array(data.GetPoint(0)) + (0.5 * directions @ data.spacing if by_cell else 0.0)
@@ -104,8 +106,10 @@ def read_image(
     slices, source = tiff_slices(path), path.name
     if slices and given is None:
         raise InputError(
-            f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for "
-            f"{source}: use the scanner's value, for example 0.0195"
+            "anatomy.spacing_mm",
+            "be given for TIFF slices, which do not hold it",
+            f"none for {source}",
+            "use the scanner's value, for example 0.0195",
         )
     stored = read_tiff_slices(slices, given, labels=labels) if slices and given is not None else _stored(path, series)
     if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
@@ -116,14 +120,10 @@ def read_image(
         stored = replace(stored, spacing_mm=(given,) * 3, notes=(*stored.notes, note))
     values = stored.values
     if values.ndim != 3 or values.size == 0 or not np.issubdtype(values.dtype, np.number):
-        raise InputError(
-            f"file must hold one number per voxel, got an array of shape {values.shape} in {source}: {_REMEDY}"
-        )
+        raise InputError("file", "hold one number per voxel", f"an array of shape {values.shape} in {source}", _REMEDY)
     if np.issubdtype(values.dtype, np.floating) and not np.isfinite(values).all():
         count = int((~np.isfinite(values)).sum())
-        raise InputError(
-            f"voxels must be finite, got {count} of {values.size} that are not in {source}: mask them first"
-        )
+        raise InputError("voxels", "be finite", f"{count} of {values.size} that are not in {source}", "mask them first")
     return along_lps(stored, source, labels=labels)
 
 
@@ -132,7 +132,7 @@ def _stored(path: Path, series: int | None) -> StoredImage:
     if is_folder(path):
         return read_dicom(path, series=series)
     if series is not None:
-        raise InputError(f"series must be left out for a file, got {series} for {path.name}: it holds one image")
+        raise InputError("series", "be left out for a file", f"{series} for {path.name}", "it holds one image")
     require_image_name(path)
     return next(read for suffix, read in _READERS.items() if path.name.lower().endswith(suffix))(path)
 
@@ -147,4 +147,4 @@ def require_image_name(path: Path) -> None:
     """
     known = (*_READERS, ".tif", ".tiff")
     if is_file(path) and not path.name.lower().endswith(known):
-        raise InputError(f"file must be an image volume of a known format, got {path.name}: {_REMEDY}")
+        raise InputError("file", "be an image volume of a known format", path.name, _REMEDY)

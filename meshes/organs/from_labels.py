@@ -68,7 +68,7 @@ class LabelledOrgan:
         """The organ's smooth surface, in the frame of the image."""
         found = label_triangles(self.solid, self.grid)
         if found is None:
-            raise InputError(f"{self.name} must be a few voxels thick, got less: segment a finer image")
+            raise InputError(self.name, "be a few voxels thick", "less", "segment a finer image")
         return surface_from_triangles(1e3 * found[0], found[1], source=self.name, scale_mm=1.0)
 
     def mesh(self, edge_mm: float | None = None, *, report: Progress = silent) -> tuple[TetMesh, dict[str, str]]:
@@ -107,7 +107,7 @@ class LabelledOrgan:
             report(f"cutting {name} out of the tetrahedra", len(mesh.part_names) / (len(self.parts) + 1))
             surface = _part_triangles(mask, self.solid, before, self.grid, beyond)
             if surface is None:
-                raise InputError(f"{name} must be a few voxels thick, got less: leave it out, or segment a finer image")
+                raise InputError(name, "be a few voxels thick", "less", "leave it out, or segment a finer image")
             volume_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(mask))
             mesh, size = with_inclusion(mesh, name, *surface, volume_m3=volume_m3, onto=onto)
             notes[name] = " ".join(each for each in (f"{size}.", self.notes.get(name, "")) if each)
@@ -149,7 +149,7 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     """Find an organ and its parts in a label image; arguments and refusals as of `organ_mesh`."""
     twice = [name for name in parts if name == organ or list(parts).count(name) > 1]
     if twice:
-        raise InputError(f"parts must name other labels than the organ, each once, got {twice[0]}: remove it")
+        raise InputError("parts", "name other labels than the organ, each once", twice[0], "remove it")
     grid = LabelGrid(labels.image.spacing_mm, labels.image.origin_mm)
     whole = labels.mask(organ)
     masks = {name: labels.mask(name) for name in parts}
@@ -213,9 +213,7 @@ def _pieces(name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, not
 
     inside = mask & solid
     if not inside.any():
-        raise InputError(
-            f"{name} must lie in {organ} or touch it, got it apart: leave it out, or correct the segmentation"
-        )
+        raise InputError(name, f"lie in {organ} or touch it", "it apart", "leave it out, or correct the segmentation")
     pieces, count = label(inside)
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)
     small = sizes < _FEWEST_VOXELS
@@ -223,8 +221,10 @@ def _pieces(name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, not
     kept: Mask = inside & ~small[pieces]
     if not kept.any():
         raise InputError(
-            f"{name} must have at least {_FEWEST_VOXELS} voxels in a piece to have a surface, got "
-            f"{int(sizes[1:].max())}: leave it out, or segment a finer image"
+            name,
+            f"have at least {_FEWEST_VOXELS} voxels in a piece to have a surface",
+            int(sizes[1:].max()),
+            "leave it out, or segment a finer image",
         )
     remarks = []
     if small.any():

@@ -115,7 +115,7 @@ def liver_region(mesh: TetMesh, name: str) -> Nodes:
         If the name is unknown.
     """
     if name not in LIVER_REGIONS:
-        raise InputError(f"region must be one of {', '.join(LIVER_REGIONS)}, got {name}: use below")
+        raise InputError("region", f"be one of {', '.join(LIVER_REGIONS)}", name, "use below")
     direction, within_deg = LIVER_REGIONS[name]
     return nodes_facing(mesh, direction=direction, within_deg=within_deg)
 
@@ -180,14 +180,18 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
     radius = require_length("nodule.radius_m", nodule.radius_m, 0.0, math.inf, 0.01)
     if radius < spacing:
         raise InputError(
-            f"nodule.radius_m must give a ball of at least {2e3 * spacing:.4g} mm in diameter, two edges of the mesh, "
-            f"got {2e3 * radius:.4g} mm: use a finer mesh"
+            "nodule.radius_m",
+            f"give a ball of at least {2000.0 * spacing:.4g} mm in diameter, two edges of the mesh",
+            f"{2000.0 * radius:.4g} mm",
+            "use a finer mesh",
         )
     deep = -float(shape.distance(np.array([nodule.centre_m], dtype=np.float64))[0])
     if not deep >= radius + spacing:
         raise InputError(
-            f"nodule.centre_m must lie at least its radius and the spacing, {1e3 * (radius + spacing):.3g} mm, below "
-            f"the surface, got {1e3 * deep:.3g} mm: move it deeper"
+            "nodule.centre_m",
+            f"lie at least its radius and the spacing, {1e3 * (radius + spacing):.3g} mm, below the surface",
+            f"{1e3 * deep:.3g} mm",
+            "move it deeper",
         )
     centre = np.array(nodule.centre_m)
     edge = 2.0 * radius / _NODULE_EDGES

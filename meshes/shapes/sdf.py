@@ -132,8 +132,10 @@ def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float
     size, centre = _extent("size_m", size_m, "(0.02, 0.012, 0.008)"), require_vector("centre_m", centre_m)
     if not 0.0 <= rounding_m <= 0.5 * float(size.min()):
         raise InputError(
-            f"rounding_m must be in [0, half the shortest edge {0.5 * float(size.min()):g}], "
-            f"got {rounding_m}: use 0 for sharp edges"
+            "rounding_m",
+            f"be in [0, half the shortest edge {0.5 * float(size.min()):g}]",
+            rounding_m,
+            "use 0 for sharp edges",
         )
     half = 0.5 * size - rounding_m
 
@@ -214,14 +216,14 @@ def _segment(start_m: Vector, end_m: Vector) -> tuple[NDArray[np.float64], NDArr
     start, end = require_vector("start_m", start_m), require_vector("end_m", end_m)
     length = float(np.linalg.norm(end - start))
     if length == 0.0:
-        raise InputError(f"end_m must differ from start_m, got {in_brackets(end)} for both: use a sphere for a point")
+        raise InputError("end_m", "differ from start_m", f"{in_brackets(end)} for both", "use a sphere for a point")
     return start, (end - start) / length, length
 
 
 def _extent(name: str, value: Vector, example: str) -> NDArray[np.float64]:
     extent = require_vector(name, value)
     if not np.all(extent > 0.0):
-        raise InputError(f"{name} must be positive in every direction, got {in_brackets(extent)}: use about {example}")
+        raise InputError(name, "be positive in every direction", in_brackets(extent), f"use about {example}")
     return extent
 
 

@@ -51,7 +51,7 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, N
             break
         reach = min(half + nearest, 2.0 * reach)
     else:
-        raise InputError("keep_clear must name a structure with a surface, got an empty one: leave it out")
+        raise InputError("keep_clear", "name a structure with a surface", "an empty one", "leave it out")
     volume = float(np.prod(high - low))
     finest, spacing = ((volume / count) ** (1.0 / 3.0) for count in (MOST_POINTS, FIRST_POINTS))
     for _ in range(ROUNDS):

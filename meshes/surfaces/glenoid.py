@@ -193,16 +193,21 @@ def _checked_pear(width: float, height: float, ratio: float, depth: float, taper
     """Outline of the face, with the combinations refused that close the vault or cut the face off."""
     if radius <= 0.5 * height:
         raise InputError(
-            f"curvature_radius_mm must exceed half of height_mm ({500 * height:g}), got {1e3 * radius:g}: use 35"
+            "curvature_radius_mm", f"exceed half of height_mm ({500 * height:g})", f"{1e3 * radius:g}", "use 35"
         )
     if height < 1.1 * width:
         raise InputError(
-            f"height_mm must be at least 1.1 times width_mm ({1e3 * width:g}), got {1e3 * height:g}: use 37.5 with 27.8"
+            "height_mm",
+            f"be at least 1.1 times width_mm ({1e3 * width:g})",
+            f"{1e3 * height:g}",
+            "use 37.5 with 27.8",
         )
     if depth * math.tan(taper) > 0.45 * width:
         raise InputError(
-            f"vault_taper_deg must leave the vault open at its base, got {math.degrees(taper):g} over "
-            f"{1e3 * depth:g} mm: use at most {math.degrees(math.atan(0.45 * width / depth)):.1f}"
+            "vault_taper_deg",
+            "leave the vault open at its base",
+            f"{math.degrees(taper):g} over {1e3 * depth:g} mm",
+            f"use at most {math.degrees(math.atan(0.45 * width / depth)):.1f}",
         )
     return _pear(width, height, ratio)
 

@@ -85,7 +85,7 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
         return _search_head(surface, _HEADS[kind])
     if kind in VERTEBRA:
         return find_pedicle(surface, kind)
-    raise InputError(f"site must be one of {', '.join(SITE_KINDS)}, got {kind}: use one of them, or give a point")
+    raise InputError("site", f"be one of {', '.join(SITE_KINDS)}", kind, "use one of them, or give a point")
 
 
 def find_glenoid(
@@ -122,7 +122,7 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
 
     samples = sample_surface(*surface.scanned, 8000)
     tree = cKDTree(samples.points)
-    chosen = np.arange(0, 8000, 5)
+    chosen = list(range(0, 8000, 5))
     seeds = [_glenoid_score(samples, k, np.array(tree.query_ball_point(samples.points[k], _REACH))) for k in chosen]
     scores = np.array([score for _, score in seeds])
     points = samples.points[chosen]

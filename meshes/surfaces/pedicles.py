@@ -156,12 +156,12 @@ def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
     there = grid.reshape(-1, 3) @ frame.axes.T + frame.origin
     bone = inside_scattered(surface.vertices_m, surface.faces, there).reshape(grid.shape[:3])
     found = []
-    for k in range(bone.shape[1]):
+    for k in range(len(axes[1])):
         pieces, count = label(bone[:, k])
         if count and not bone[:2, k].any():
             sizes = np.bincount(pieces.ravel())[1:]
             largest = pieces == np.argmax(sizes) + 1
-            found.append([*grid[:, k][largest].mean(axis=0), sizes.max()])
+            found.append(np.append(grid[:, k][largest].mean(axis=0), sizes.max()))
     return np.array(found).reshape(-1, 4)
 
 

@@ -128,8 +128,10 @@ def sample_surface(vertices: NDArray[np.float64], faces: NDArray[np.int64], coun
 def refusal(surface: Surface, what: str, got: str) -> InputError:
     """Error of a search that did not find its landmark."""
     return InputError(
-        f"file must show a {what}, got {got} in {surface.report.source}: check anatomy.scale_mm and that it is one "
-        "bone, or give anatomy.centre_mm and anatomy.normal"
+        "file",
+        f"show a {what}",
+        f"{got} in {surface.report.source}",
+        "check its unit and that it is one bone, or give a centre and a normal",
     )
 
 
@@ -140,7 +142,7 @@ def across(axis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.f
     return u, np.cross(axis, u)
 
 
-def spread(heights: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+def spread(heights: NDArray[np.floating], axis: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit vectors on a golden-angle spiral, given their cosines with an axis, shape (n, 3)."""
     u, v = across(axis)
     angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(len(heights))
@@ -235,8 +237,10 @@ def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[n
     projected = direction - (direction @ normal) * normal
     if np.linalg.norm(projected) < _LEAST_ACROSS:
         raise InputError(
-            f"anatomy.along must lead across the normal {in_brackets(normal, '.4g')}, got "
-            f"{in_brackets(direction, '.4g')}: give a direction in the plane of the site"
+            "anatomy.along",
+            f"lead across the normal {in_brackets(normal, '.4g')}",
+            in_brackets(direction, ".4g"),
+            "give a direction in the plane of the site",
         )
     x = projected / np.linalg.norm(projected)
     return np.column_stack([x, np.cross(normal, x), normal])
@@ -286,8 +290,9 @@ def _on_surface(surface: Surface, centre: NDArray[np.float64], rotation: NDArray
         vertex = surface.vertices_m[np.argmin(np.linalg.norm(surface.vertices_m - centre, axis=1))]
         given, corner = (in_brackets(1e3 * point, ".4g") for point in (centre, vertex))
         raise InputError(
-            f"anatomy.centre_mm must lie within 10 mm of the surface along the normal, got {given} in "
-            f"{surface.report.source}: give a point on the face, in mm in the frame of the file; the nearest corner is "
-            f"{corner}"
+            "anatomy.centre_mm",
+            "lie within 10 mm of the surface along the normal",
+            f"{given} in {surface.report.source}",
+            f"give a point on the face, in mm in the frame of the file; the nearest corner is {corner}",
         )
     return centre + nearest * rotation[:, 2]

@@ -160,13 +160,17 @@ def _require_cells(cells: Any, file: Path, point_count: int, kinds: NDArray[np.i
         if len(short):
             k = short[0]
             raise InputError(
-                f"cells of VTK type {kinds[k]} must have {expected[k]} points, got {sizes[k]} in cell {k} of "
-                f"{file.name}, counted from 0: export it again"
+                f"cells of VTK type {kinds[k]}",
+                f"have {expected[k]} points",
+                f"{sizes[k]} in cell {k} of {file.name}, counted from 0",
+                "export it again",
             )
     wrong = np.flatnonzero((points < 0) | (points >= point_count))
     if len(wrong):
         cell = int(np.searchsorted(offsets, wrong[0], side="right")) - 1
         raise InputError(
-            f"cells must name points 0 to {point_count - 1} of the file, got {points[wrong[0]]} in cell {cell} of "
-            f"{file.name}, counted from 0: export it again"
+            "cells",
+            f"name points 0 to {point_count - 1} of the file",
+            f"{points[wrong[0]]} in cell {cell} of {file.name}, counted from 0",
+            "export it again",
         )

@@ -54,7 +54,7 @@ def bisected(
         wanted = size_m(middle)
         if not (wanted > 0.0).all():
             raise InputError(
-                f"size_m must be positive everywhere, got {1e3 * wanted.min():.4g} mm: use a hundredth of the body"
+                "size_m", "be positive everywhere", f"{1e3 * wanted.min():.4g} mm", "use a hundredth of the body"
             )
         rank = np.empty(len(keys), dtype=np.int64)
         # Ties go by number, the same for every tetrahedron.
@@ -76,8 +76,10 @@ def bisected(
             return TetMesh(nodes, cells, part, mesh.part_names)
         if len(cells) + len(halved) > _MOST_CELLS:
             raise InputError(
-                f"size_m must leave at most {_MOST_CELLS} tetrahedra, got edges of {1e3 * wanted.min():.4g} mm: "
-                "use longer ones"
+                "size_m",
+                f"leave at most {_MOST_CELLS} tetrahedra",
+                f"edges of {1e3 * wanted.min():.4g} mm",
+                "use longer ones",
             )
         number = len(nodes) + np.cumsum(split) - 1
         nodes = np.concatenate([nodes, middle[split]])

@@ -94,7 +94,7 @@ def read_tets(
     used = stored.points[np.unique(stored.tets if len(stored.tets) else stored.triangles)]
     bad = int((~np.isfinite(used).all(axis=1)).sum())
     if bad:
-        raise InputError(f"nodes must be finite, got {bad} of {len(used)} that are not in {file.name}: export it again")
+        raise InputError("nodes", "be finite", f"{bad} of {len(used)} that are not in {file.name}", "export it again")
     scale, why = _unit(np.ptp(used, axis=0), unit_mm, file.name)
     if len(stored.tets):
         values, part = np.unique(stored.part, return_inverse=True)
@@ -121,9 +121,10 @@ def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[
                 sides = by(scale * size, ".3g")
                 return scale, f"{name} names no unit and was taken to be in {unit}: {sides} mm."
         raise InputError(
-            f"anatomy.scale_mm must be given where the unit is not plain, got none for {name}, whose box of "
-            f"{by(size, '.3g')} is an organ neither in millimetres nor in metres: give millimetres per unit, "
-            f"{_TYPICAL_MM / longest:.2g} would make it {_TYPICAL_MM:g} mm long"
+            "anatomy.scale_mm",
+            "be given where the unit is not plain",
+            f"none for {name}, whose box of {by(size, '.3g')} is an organ neither in millimetres nor in metres",
+            f"give millimetres per unit, {_TYPICAL_MM / longest:.2g} would make it {_TYPICAL_MM:g} mm long",
         )
     scale = require_positive("anatomy.scale_mm", unit_mm, "use 1 for millimetres, 1000 for metres")
     note = f"{name} was read at {scale:g} mm per unit, as given: {by(scale * size, '.3g')} mm"
@@ -139,7 +140,7 @@ def _from_vtk(file: Path) -> StoredMesh:
         *parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy), file.name
     )
     if len(found.tets) == 0 and len(found.triangles) == 0:
-        raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: export it again")
+        raise InputError("file", "hold tetrahedra or triangles", f"none in {file.name}", "export it again")
     return found
 
 
@@ -205,15 +206,15 @@ def given_tets(
         return GivenTets(1e3 * mesh.nodes_m, mesh, ())
     stored = _stored(mesh)
     if not len(stored.tets):
-        raise InputError("mesh must hold tetrahedra, got none: fill a surface by from_surface")
+        raise InputError("mesh", "hold tetrahedra", "none", "fill a surface by from_surface")
     used = np.unique(stored.tets)
     inside = used[0] >= 0 and used[-1] < len(stored.points)
     if not inside or not np.isfinite(stored.points[used]).all():
-        raise InputError("mesh must hold finite points for all cells, got others: export it again")
+        raise InputError("mesh", "hold finite points for all cells", "others", "export it again")
     scale = require_millimetres("mesh", stored.points[used], scale_mm)
     values, part = np.unique(stored.part, return_inverse=True)
     if len(values) > MOST_PARTS:
-        raise InputError(f"mesh must have at most {MOST_PARTS} parts, got {len(values)}: join some")
+        raise InputError("mesh", f"have at most {MOST_PARTS} parts", len(values), "join some")
     names = stored.names | dict(part_names or {})
     known = tuple(names.get(int(v), f"part {v}") for v in values) if len(values) > 1 else ("body",)
     with names_of_caller(dict.fromkeys(("nodes", "nodes_m", "cells"), "mesh")):
@@ -235,8 +236,10 @@ def require_millimetres(name: str, points: NDArray[np.float64], scale_mm: float 
     if not SIZES_MM[0] <= float(sides.max()) <= SIZES_MM[1]:
         unit, scale = ("metres", 1000) if sides.max() < SIZES_MM[0] else ("micrometres", 0.001)
         raise InputError(
-            f"{name} must be in millimetres, got one of {by(sides, '.3g')}, which looks like {unit}: give "
-            f"scale_mm={scale}, or scale_mm=1 if that is its size"
+            name,
+            "be in millimetres",
+            f"one of {by(sides, '.3g')}, which looks like {unit}",
+            f"give scale_mm={scale}, or scale_mm=1 if that is its size",
         )
     return 1.0
 
@@ -257,12 +260,16 @@ def _stored(mesh: object) -> StoredMesh:
                 points.astype(np.float64), cells.astype(np.int64), _NO_FACES, np.zeros(len(cells), int), {}
             )
         raise InputError(
-            f"mesh must be points of shape (n, 3) and cells of shape (m, 4), got {points.shape} and {cells.shape}: "
-            "give the four corners of each tetrahedron"
+            "mesh",
+            "be points of shape (n, 3) and cells of shape (m, 4)",
+            f"{points.shape} and {cells.shape}",
+            "give the four corners of each tetrahedron",
         )
     raise InputError(
-        f"mesh must be a grid of pyvista, a mesh of meshio, points and cells, or a file, got {type(mesh).__name__}: "
-        "wrap arrays as (points, cells)"
+        "mesh",
+        "be a grid of pyvista, a mesh of meshio, points and cells, or a file",
+        type(mesh).__name__,
+        "wrap arrays as (points, cells)",
     )
 
 

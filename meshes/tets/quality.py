@@ -257,14 +257,14 @@ def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> 
 
 def _require_numbers(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
     if len(cells) == 0 or cells.ndim != 2 or cells.shape[1] != 4:
-        raise InputError(f"cells must be tetrahedra, got an array of shape {cells.shape}: mesh the solid first")
+        raise InputError("cells", "be tetrahedra", f"an array of shape {cells.shape}", "mesh the solid first")
     if cells.min() < 0 or cells.max() >= len(nodes):
         raise InputError(
-            f"cells must name nodes 0 to {len(nodes) - 1}, got {cells.min()} to {cells.max()}: write the mesh again"
+            "cells", f"name nodes 0 to {len(nodes) - 1}", f"{cells.min()} to {cells.max()}", "write the mesh again"
         )
     bad = int((~np.isfinite(nodes[np.unique(cells)]).all(axis=1)).sum())
     if bad:
-        raise InputError(f"nodes must be finite, got {bad} of {len(nodes)} that are not: write the mesh again")
+        raise InputError("nodes", "be finite", f"{bad} of {len(nodes)} that are not", "write the mesh again")
 
 
 def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
@@ -274,16 +274,20 @@ def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) ->
     if len(crowded):
         at = place(_centre_mm(nodes, triangles, crowded[0]))
         raise InputError(
-            f"cells must meet two at a face, got {len(np.unique(where[crowded]))} faces of more, the first at {at} mm: "
-            "mesh the surface again"
+            "cells",
+            "meet two at a face",
+            f"{len(np.unique(where[crowded]))} faces of more, the first at {at} mm",
+            "mesh the surface again",
         )
     agree = np.bincount(where, weights=windings(triangles))
     folded = np.flatnonzero((shared == 2) & (np.abs(agree[where]) == 2))
     if len(folded):
         at = place(_centre_mm(nodes, triangles, folded[0]))
         raise InputError(
-            f"cells must not overlap, got {len(folded) // 2} faces with both cells on one side, the first at {at} mm: "
-            "the mesh folds over itself, mesh the surface again"
+            "cells",
+            "not overlap",
+            f"{len(folded) // 2} faces with both cells on one side, the first at {at} mm",
+            "the mesh folds over itself, mesh the surface again",
         )
 
 
@@ -293,8 +297,11 @@ def _require_volume(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> Non
     if len(bad):
         at = place(_centre_mm(nodes, cells, bad[0]))
         raise InputError(
-            f"cells must have volume, got {len(bad)} flat tetrahedra of {len(cells)} that neither dropping nor moving "
-            f"nodes repairs, the first at {at} mm: mesh the surface again"
+            "cells",
+            "have volume",
+            f"{len(bad)} flat tetrahedra of {len(cells)} that neither dropping nor moving nodes repairs, the first at "
+            f"{at} mm",
+            "mesh the surface again",
         )
 
 

@@ -58,13 +58,15 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     spacing = require_length("spacing_m", spacing_m, 0.0, math.inf, advised)
     lower, upper = np.array(shape.lower_m), np.array(shape.upper_m)
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
-        raise InputError("shape must have an end in every direction, got an endless one: intersect it with a box")
+        raise InputError("shape", "have an end in every direction", "an endless one", "intersect it with a box")
     if 12.0 * np.prod((upper - lower) / spacing + 2.0) > _MOST_CELLS:
         # Twelve tetrahedra a cube, and a tenth more for the cubes around the body.
         possible = 1.1 * float(12.0 * np.prod(upper - lower) / _MOST_CELLS) ** (1.0 / 3.0)
         raise InputError(
-            f"spacing_m must leave at most {_MOST_CELLS} tetrahedra, got {1e3 * spacing:.4g} mm: "
-            f"use {1e3 * possible:.2g} mm or more"
+            "spacing_m",
+            f"leave at most {_MOST_CELLS} tetrahedra",
+            f"{1e3 * spacing:.4g} mm",
+            f"use {1e3 * possible:.2g} mm or more",
         )
     nodes, cells = _lattice(lower - 1.01 * spacing, upper + spacing, spacing)
     near = shape.distance(nodes) < 1.5 * spacing
@@ -72,8 +74,10 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     nodes, cells, within, _ = cut_by(nodes, cells, shape.distance)
     if not within.any():
         raise InputError(
-            f"spacing_m must be below the size of the shape, got {1e3 * spacing:.4g} mm: "
-            f"use {1e3 * advised:.2g} mm or less"
+            "spacing_m",
+            "be below the size of the shape",
+            f"{1e3 * spacing:.4g} mm",
+            f"use {1e3 * advised:.2g} mm or less",
         )
     return TetMesh(*compact(nodes, cells[within]))
 
@@ -89,7 +93,7 @@ def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
     nodes, cells, within, came = cut_by(mesh.nodes_m, mesh.cells, shape.distance)
     within &= mesh.part[came] == 0
     if not within.any():
-        raise InputError(f"{name} must hold cells of the mesh, got none: use a finer mesh, or move it inside")
+        raise InputError(name, "hold cells of the mesh", "none", "use a finer mesh, or move it inside")
     part = np.where(within, len(mesh.part_names), mesh.part[came]).astype(np.uint8)
     return TetMesh(nodes, cells, part, (*mesh.part_names, name))
 

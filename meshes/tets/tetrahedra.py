@@ -50,18 +50,20 @@ class TetMesh:
             object.__setattr__(self, "part", np.zeros(len(self.cells), dtype=np.uint8))
         if not np.isfinite(self.nodes_m).all():
             bad = int(np.flatnonzero(~np.isfinite(self.nodes_m).all(axis=1))[0])
-            raise InputError(f"nodes_m must be finite, got node {bad} at {self.nodes_m[bad]}: repair or leave out")
+            raise InputError("nodes_m", "be finite", f"node {bad} at {self.nodes_m[bad]}", "repair or leave out")
         if len(self.cells) == 0:
-            raise InputError("cells must hold at least one tetrahedron, got none: mesh the surface first")
+            raise InputError("cells", "hold at least one tetrahedron", "none", "mesh the surface first")
         if self.cells.min() < 0 or self.cells.max() >= len(self.nodes_m):
             raise InputError(
-                f"cells must name nodes 0 to {len(self.nodes_m) - 1}, got {self.cells.min()} to {self.cells.max()}: "
-                "number nodes from 0"
+                "cells",
+                f"name nodes 0 to {len(self.nodes_m) - 1}",
+                f"{self.cells.min()} to {self.cells.max()}",
+                "number nodes from 0",
             )
         flat = int((self.volumes_m3 <= 0.0).sum())
         if flat:
             raise InputError(
-                f"cells must have positive volume, got {flat} of {len(self.cells)} inverted or flat: repair them first"
+                "cells", "have positive volume", f"{flat} of {len(self.cells)} inverted or flat", "repair them first"
             )
 
     @cached_property
@@ -107,6 +109,6 @@ def write_organ(mesh: TetMesh, path: str | Path) -> None:
     """
     file = Path(path)
     if file.suffix != ".vtu":
-        raise InputError(f"path must end in .vtu, got {file.name}: name it organ.vtu")
+        raise InputError("path", "end in .vtu", file.name, "name it organ.vtu")
     with whole_file(file) as temporary:
         grid_of(mesh).save(temporary)

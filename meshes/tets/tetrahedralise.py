@@ -92,7 +92,9 @@ def tetrahedralise(
     arrays = cached_arrays("tetwild-3", (surface.vertices_m, surface.faces, edge, envelope), make)
     report(f"filling {surface.report.source} with tetrahedra", 1.0)
     if len(arrays["cells"]) == 0:
-        raise InputError(f"surface must enclose a solid, got none of edge {edge:g} m: use a smaller edge_m")
+        raise InputError(
+            "edge_m", "be short enough to fill the surface", f"{1e3 * edge:.4g}", "use a smaller one", "mm"
+        )
     mesh, repaired = repair_tets(arrays["nodes"], arrays["cells"])
     if not len(crossing):
         mesh = with_volume(mesh, volume, within_m=envelope)

@@ -23,12 +23,10 @@ def require_known(names: Iterable[str], argument: str) -> None:
     given = list(names)
     for name in given:
         if name not in TOOTH_LAYERS:
-            raise InputError(f"{argument} must name layers of {', '.join(TOOTH_LAYERS)}, got {name}: rename it")
+            raise InputError(argument, f"name layers of {', '.join(TOOTH_LAYERS)}", name, "rename it")
     for name in ("enamel", "dentin"):
         if name not in given:
-            raise InputError(
-                f"{argument} must give enamel and dentin, got {', '.join(given) or 'none'}: add the {name}"
-            )
+            raise InputError(argument, "give enamel and dentin", ", ".join(given) or "none", f"add the {name}")
 
 
 def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: float) -> None:
@@ -44,8 +42,10 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
     if _SMALLEST_MM <= size_mm <= _LARGEST_MM:
         return
     raise InputError(
-        f"{argument} must make the tooth {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm long, got {given}, which makes it "
-        f"{size_mm:.3g} mm: use the scanner's value, about {_TYPICAL_MM / per_unit:.1g}"
+        argument,
+        f"make the tooth {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm long",
+        f"{given}, which makes it {size_mm:.3g} mm",
+        f"use the scanner's value, about {_TYPICAL_MM / per_unit:.1g}",
     )
 
 
@@ -69,8 +69,10 @@ def require_touching(points_m: Mapping[str, NDArray[np.float64]], solids: Mappin
         few = tested[:: max(len(tested) // 100, 1)]
         if not any(inside_surface(*solid, few).any() for other, solid in solids.items() if other != name):
             raise InputError(
-                f"{name} surface must touch the others in one common frame and unit, got one "
-                f"{1e3 * apart[nearest]:.3g} mm from {nearest}, the nearest: check its unit and its origin"
+                f"{name} surface",
+                "touch the others in one common frame and unit",
+                f"one {1e3 * apart[nearest]:.3g} mm from {nearest}, the nearest",
+                "check its unit and its origin",
             )
 
 
@@ -91,6 +93,8 @@ def require_pulp_within(pulp_m: NDArray[np.float64], dentin: Triangles, dentin_s
     within = 1.0 - float(np.count_nonzero(~inside_surface(*dentin, far))) / len(tested)
     if within < _LEAST_WITHIN:
         raise InputError(
-            f"pulp must lie within the dentin, got {100.0 * within:.0f} % of its surface there: check which "
-            "layer is which, and the frame of the pulp surface"
+            "pulp",
+            "lie within the dentin",
+            f"{100.0 * within:.0f} % of its surface there",
+            "check which layer is which, and the frame of the pulp surface",
         )

@@ -61,16 +61,17 @@ def layer_image(values: NDArray[np.number], labels: Mapping[int, str], source: s
     filled = values != 0
     boxes = find_objects(filled.view(np.uint8))
     if not boxes:
-        raise InputError(f"labels must mark a tooth, got nothing but 0 in {source}: check the file")
+        raise InputError("labels", "mark a tooth", f"nothing but 0 in {source}", "check the file")
     crop = boxes[0]
     cropped, filled = values[crop], filled[crop]
     found = _label_counts(cropped, source)
     unknown = {label: count for label, count in found.items() if label not in labels}
     if unknown:
         raise InputError(
-            f"labels must name every label of {source}, got unnamed "
-            f"{', '.join(f'{label} ({count} voxels)' for label, count in unknown.items())}: add them, or set them to 0 "
-            "in the file"
+            "labels",
+            f"name every label of {source}",
+            f"unnamed {', '.join((f'{label} ({count} voxels)' for label, count in unknown.items()))}",
+            "add them, or set them to 0 in the file",
         )
     pieces = np.empty(filled.shape, dtype=np.int32, order="F" if filled.flags.f_contiguous else "C")
     label_pieces(filled, output=pieces)  # those that hang together by faces; 0 is outside
@@ -101,7 +102,7 @@ def _label_counts(values: NDArray[np.number], source: str) -> dict[int, int]:
         numbers, counts = _distinct(values[:, :, k])
         if (numbers != np.rint(numbers)).any():
             part = numbers[numbers != np.rint(numbers)][0]
-            raise InputError(f"labels must be whole numbers, got {part:g} in {source}: use a label image")
+            raise InputError("labels", "be whole numbers", f"{part:g} in {source}", "use a label image")
         found.update(dict(zip(numbers.astype(np.int64).tolist(), counts.tolist(), strict=True)))
     del found[0]
     return dict(sorted(found.items()))

@@ -120,8 +120,10 @@ class LabelledTooth:
             volume = voxelise(self._anatomy(corners), spacing_m=size, region_m=(*corners,), progress=progress)
             if not volume.fraction.any():
                 raise InputError(
-                    "region must meet the tooth, got one without any of it: move the tool to the tooth, or set "
-                    "anatomy.site"
+                    "region",
+                    "meet the tooth",
+                    "one without any of it",
+                    "move the tool to the tooth, or set anatomy.site",
                 )
         notes = list(self.sentences)
         if not self.has_pulp and self.cavity is None:
@@ -199,7 +201,7 @@ def _placed(named: LayerImage, spacing: NDArray[np.float64], first_m: NDArray[np
     on_axis = placed.on_plane(0.0, np.zeros(1), heights)[0]
     filled = np.flatnonzero(on_axis != EMPTY)
     if len(filled) == 0:
-        raise InputError("labels must fill the tooth's long axis, got none there: check which label is the enamel")
+        raise InputError("labels", "fill the tooth's long axis", "none there", "check which label is the enamel")
     top = int(filled[-1])
     origin = axes.middle_m + heights[top] * axes.rotation[:, 2]
     return replace(placed, origin=origin), f"{axes.note}; origin on the {TOOTH_LAYERS[on_axis[top]]}"
@@ -234,8 +236,10 @@ def _require_size(corners: NDArray[np.float64], size: float) -> None:
     count = float(np.prod(np.ptp(corners, axis=0) / size))
     if count > _MOST_VOXELS:
         raise InputError(
-            f"resample_mm must leave at most {_MOST_VOXELS:.0e} voxels, got {1e3 * size:g} which makes {count:.2g}: "
-            f"use {1e3 * size * (count / _MOST_VOXELS) ** (1 / 3):.2g} or more"
+            "resample_mm",
+            f"leave at most {_MOST_VOXELS:.0e} voxels",
+            f"{1e3 * size:g} which makes {count:.2g}",
+            f"use {1e3 * size * (count / _MOST_VOXELS) ** (1 / 3):.2g} or more",
         )
 
 
@@ -244,6 +248,8 @@ def _require_resolution(corners: NDArray[np.float64], size: float) -> None:
     sides = np.ptp(corners, axis=0)
     if sides.min() < 8.0 * size:
         raise InputError(
-            f"resample_mm must leave eight voxels across the tooth, got {1e3 * size:g} for {1e3 * sides.min():.3g} mm: "
-            "use 0.1"
+            "resample_mm",
+            "leave eight voxels across the tooth",
+            f"{1e3 * size:g} for {1e3 * sides.min():.3g} mm",
+            "use 0.1",
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError, names_of_caller, require_range
 from meshes.base.placement import Placement
 from meshes.base.simplices import cross_products
 from meshes.shapes.anatomy import Anatomy
@@ -60,12 +60,9 @@ def layered_surfaces(
 
 
 def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
-    """The surface of a layer; a refusal of its file names the layer."""
-    try:
+    """The surface of a layer; an error of its file names the layer."""
+    with names_of_caller({word: f"{layer} {word}" for word in ("file", "surface", "vertices", "faces", "cells")}):
         return read_surface(path, scale_mm=scale_mm)
-    except InputError as error:
-        note = str(error)
-        raise InputError(note if note.startswith("anatomy.") else f"{layer} {note}") from error
 
 
 def layered_anatomy(
@@ -134,8 +131,10 @@ def _socket_margin(surfaces: Mapping[str, Surface], socket_mm: float) -> float:
     margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
     if margin > 0.0 and ("ligament" not in surfaces or "bone" in surfaces):
         raise InputError(
-            f"socket_mm must be 0 without a ligament or with a bone surface, got {socket_mm:g}: add the ligament, or "
-            "leave the socket out"
+            "socket_mm",
+            "be 0 without a ligament or with a bone surface",
+            f"{socket_mm:g}",
+            "add the ligament, or leave the socket out",
         )
     return margin
 
@@ -191,7 +190,7 @@ def _site(
             origin = axes.middle_m + found.height.max() * axes.rotation[:, 2]
             return origin, axes.rotation, f"{axes.note}; origin on the {name}"
     raise InputError(
-        "layers must lie on the tooth's long axis, got none of enamel and dentin there: check which layer is which"
+        "layers", "lie on the tooth's long axis", "none of enamel and dentin there", "check which layer is which"
     )
 
 

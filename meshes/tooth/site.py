@@ -56,8 +56,10 @@ def tooth_axes(enamel_m: NDArray[np.float64], body_m: NDArray[np.float64]) -> To
     height = float(np.linalg.norm(rise))
     if height < _LEAST_RISE_M:
         raise InputError(
-            f"layers must have the enamel to one side of the dentin, got middles {1e3 * height:.2g} mm apart: check "
-            "which layer is which"
+            "layers",
+            "have the enamel to one side of the dentin",
+            f"middles {1e3 * height:.2g} mm apart",
+            "check which layer is which",
         )
     line = rise / height
     whole = np.concatenate([enamel_m, body_m])

@@ -45,11 +45,7 @@ def of_surface(
     edge = usual if edge_mm is None else require_positive("edge_mm", edge_mm, f"use {usual:.2g}")
     inner = {name: surface_of(f"inclusions[{name!r}]", each, scale_mm) for name, each in inclusions.items()}
     _require_apart(outer, inner, 1e-3 * ENVELOPE * edge)
-    words = {
-        "edge_m": "edge_mm",
-        "surface must enclose a solid, got none of edge": "edge_mm must fill the surface, got",
-    }
-    with names_of_caller(words):
+    with names_of_caller({"edge_m": "edge_mm"}):
         mesh, sentences = tetrahedralise(outer, edge_m=1e-3 * edge, report=report)
     notes = {"mesh": " ".join((*outer.report.repairs, *sentences))}
     for name, each in inner.items():

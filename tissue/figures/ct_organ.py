@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.images.frame import Image
-from meshes.images.frame import part_of
+from meshes.images.frame import Image, part_of
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.figures.ct_slices import SOFT_HU, draw_ct_slices

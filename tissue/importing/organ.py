@@ -12,8 +12,7 @@ from meshes.ct.label_check import soft_label_note
 from meshes.ct.labels import Labels, on_grid_of, read_labels
 from meshes.images.reading import read_image
 from meshes.organs.from_labels import organ_mesh
-from meshes.tets.tetrahedra import write_organ
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.tetrahedra import TetMesh, write_organ
 from tissue.figures.ct_organ import draw_ct_organ
 from tissue.importing.folder import SCENE, Imported, import_folder, write_labels
 from tissue.importing.request import ImportRequest

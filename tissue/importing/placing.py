@@ -1,12 +1,10 @@
 """Where to work on an imported bone: as given, from markups, or searched for, and what of it is a joint."""
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, names_of_caller
 from meshes.surfaces.site import Site, place_site
 from meshes.surfaces.surface import Surface
 from tissue.importing.request import ImportRequest
@@ -27,7 +25,7 @@ KEYS = {
     "anatomy.centre_mm": "site",
     "anatomy.normal": "normal",
     "anatomy.scale_mm": "spacing in the header",
-    "file must": "source must",
+    "file": "source",
 }
 """What an import calls the keys of a scene."""
 
@@ -62,7 +60,7 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
     InputError
         If the site that was asked for cannot be had.
     """
-    with _own_words():
+    with names_of_caller(KEYS):
         if request.point_mm is not None:
             site = place_site(surface, centre_mm=request.point_mm, normal=request.normal_lps)
             return _pointed(site)
@@ -85,18 +83,6 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
         return None, f"site: no {usual} was found ({error}); {pick}"
 
 
-@contextmanager
-def _own_words() -> Iterator[None]:
-    """Let refusals name options of an import, where those of a scene name its keys."""
-    try:
-        yield
-    except InputError as error:
-        message = str(error)
-        for key, word in KEYS.items():
-            message = message.replace(key, word)
-        raise InputError(message) from error
-
-
 def _pointed(site: Site) -> tuple[Placed, str]:
     sentence = f"site: {site.confidence}"
     return Placed(site, None, 0.0, sentence), sentence
@@ -106,7 +92,7 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
     """The site of a kind with its score and that of the second best."""
     from meshes.surfaces.landmarks import find_site
 
-    with _own_words():
+    with names_of_caller(KEYS):
         found = find_site(kind, surface)
     second = found.second_centre_mm is not None
     other = f"the next best place scores {found.second_score:.2f}" if second else "no other place came near"

@@ -41,8 +41,10 @@ def touchable_patch(space: Space, probe: ProbeShape, tips_m: Array, rotations: A
             ", ".join(f"{1e3 * v:.4g}" for v in corner) for corner in (centres.min(axis=0), centres.max(axis=0))
         )
         raise InputError(
-            "motion must bring the tool to the organ, got a tool that never touches it: move it to the organ between "
-            f"({low}) and ({high}) mm"
+            "motion",
+            "bring the tool to the organ",
+            "a tool that never touches it",
+            f"move it to the organ between ({low}) and ({high}) mm",
         )
     chosen = triangles[nearest < reach * (1.0 + 2.0 * MARGIN_EDGES)]
     nodes, places = np.unique(chosen, return_inverse=True)

@@ -98,7 +98,7 @@ class SoftOrgan:
         self.elasticity, self.held, self.prony, self.friction = elasticity, held, prony, friction
         self._capsule, self._density, self._law = capsule, density_kg_m3, law
         if law is not None and not (capsule is None and density_kg_m3 is None and prony is None):
-            raise InputError("law must be None with a capsule, a weight or a relaxation, got one: leave them out")
+            raise InputError("law", "be None with a capsule, a weight or a relaxation", "one", "leave them out")
 
     @property
     def mesh(self) -> TetMesh:
@@ -168,8 +168,10 @@ class SoftOrgan:
         touchable, faces = _patches.of(key, lambda: touchable_patch(self.space, probe, tips_m, rotations))
         if self.body.fixed[touchable].all():
             raise InputError(
-                "motion must bring the tool to tissue that can move, got a tool that touches only what is held: move "
-                "it, or change what holds the organ"
+                "motion",
+                "bring the tool to tissue that can move",
+                "a tool that touches only what is held",
+                "move it, or change what holds the organ",
             )
         return touchable, faces
 
