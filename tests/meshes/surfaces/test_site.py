@@ -142,21 +142,19 @@ def test_without_a_normal_it_is_that_of_the_surface_and_x_lies_along_the_directi
     [
         (
             {"centre_mm": (0, 0, 30), "normal": (0, 0, 1), "along": (0, 0, -3)},
-            "anatomy.along must lead across the normal (0, 0, 1), got (0, 0, -1): give a direction in the plane of the "
-            "site",
+            ("anatomy.along", "(0, 0, -1)"),
         ),
         (
             {"centre_mm": (0, 0)},
-            "anatomy.centre_mm must be three finite numbers, got (0, 0): use for example (0, 0, 1)",
+            ("anatomy.centre_mm", "(0, 0)"),
         ),
         (
             {"centre_mm": (0, 0, 30), "normal": (0, 0, 0)},
-            "anatomy.normal must not be zero, got (0, 0, 0): give the outward direction",
+            ("anatomy.normal", "(0, 0, 0)"),
         ),
         (
             {"centre_mm": (0, 0, 300), "normal": (0, 0, 1)},
-            "anatomy.centre_mm must lie within 10 mm of the surface along the normal, got (0, 0, 300) in triangles: give a "
-            "point on the face, in mm in the frame of the file; the nearest corner is (0, 0, 30)",
+            ("anatomy.centre_mm", "(0, 0, 300) in triangles"),
         ),
     ],
 )
@@ -164,7 +162,7 @@ def test_refused_sites(options, message):
     surface = as_surface(trimesh.creation.icosphere(subdivisions=3, radius=30.0))
     with pytest.raises(InputError) as refusal:
         place_site(surface, **options)
-    assert str(refusal.value) == message
+    assert (refusal.value.argument, str(refusal.value.value)) == message
 
 
 def test_a_bone_without_a_glenoid_is_refused():
@@ -175,15 +173,15 @@ def test_a_bone_without_a_glenoid_is_refused():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"cortical_thickness_mm": -1}, "cortical_thickness_mm must be in [0, 10], got -1: use 1.9"),
-        ({"trabecular_density_kg_m3": math.nan}, "trabecular_density_kg_m3 must be in [50, 2500], got nan: use 350"),
+        ({"cortical_thickness_mm": -1}, ("cortical_thickness_mm", "-1")),
+        ({"trabecular_density_kg_m3": math.nan}, ("trabecular_density_kg_m3", "nan")),
     ],
 )
 def test_refused_anatomy(options, message):
     surface = as_surface(trimesh.creation.icosphere(subdivisions=2, radius=30.0))
     with pytest.raises(InputError) as refusal:
         surface_anatomy(surface, AT_ORIGIN, **options)
-    assert str(refusal.value) == message
+    assert (refusal.value.argument, str(refusal.value.value)) == message
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ NO_BONES = {
     ],
 )
 def test_what_is_no_bone_is_refused(kind, shape):
-    with pytest.raises(InputError, match=r"^file must show a .*, got .*: check anatomy.scale_mm.*, or give "):
+    with pytest.raises(InputError, match=r"file must show a .*, got .*: check its unit"):
         find_site(kind, as_surface(NO_BONES[shape]))
 
 
