@@ -77,7 +77,8 @@ class Placement:
                 and np.linalg.det(turn) > 0.0
             )
         except (KeyError, TypeError, ValueError, IndexError):
-            rigid, unit = False, 0.0
+            rigid = False
+            unit = 0.0
         if not (rigid and np.isfinite(unit) and unit > 0.0):
             raise InputError(
                 "placement",

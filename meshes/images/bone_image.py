@@ -130,5 +130,6 @@ def _averaged(values: NDArray[np.float32], axis: int, ratio: float) -> NDArray[n
     running = np.pad(np.cumsum(values, axis=axis, dtype=np.float64), before)
     low = np.minimum(edges.astype(np.int64), count - 1)
     part = (edges - low).reshape([-1 if k == axis else 1 for k in range(3)])
-    below, above = np.take(running, low, axis=axis), np.take(running, low + 1, axis=axis)
+    below = np.take(running, low, axis=axis)
+    above = np.take(running, low + 1, axis=axis)
     return (np.diff(below + (above - below) * part, axis=axis) / ratio).astype(np.float32)

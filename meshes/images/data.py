@@ -48,7 +48,8 @@ def read_voxels(
     """
     needed = dtype.itemsize * int(np.prod(shape, dtype=object))
     require_stated(path, needed, by(shape), compressed=compressed)
-    stored, at = np.empty(needed, dtype=np.uint8), 0
+    stored = np.empty(needed, dtype=np.uint8)
+    at = 0
     for piece in _plain(path, start, compressed):
         piece, skip = piece[skip:], max(skip - len(piece), 0)
         if at + len(piece) > needed:

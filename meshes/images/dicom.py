@@ -55,7 +55,8 @@ _READ = (
     "PixelData",
 )
 _GREY = ("MONOCHROME2", INVERTED)
-_MAGIC, _PREAMBLE = b"DICM", 128
+_MAGIC = b"DICM"
+_PREAMBLE = 128
 _GROUP_LENGTH_BYTES = 12
 _PIECE = 1 << 20
 _UNDEFINED_LENGTH = 0xFFFFFFFF
@@ -83,7 +84,9 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
     headers = [_header(file, place) for file, place in zip(files, places, strict=True)]
     if series is not None:
         chosen = _of_series(headers, series, folder)
-        files, places, headers = [files[k] for k in chosen], [places[k] for k in chosen], [headers[k] for k in chosen]
+        files = [files[k] for k in chosen]
+        places = [places[k] for k in chosen]
+        headers = [headers[k] for k in chosen]
     _require_one_series(headers, folder)
     slices = [_slice(header, place) for header, place in zip(headers, places, strict=True)]
     if len({header["PhotometricInterpretation"] for header in headers}) > 1:
@@ -99,7 +102,8 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
         sum(int(np.prod(s.size, dtype=object)) for s in slices) * most_bytes, folder.name, f"{by(size)} voxels"
     )
     order, step, notes = stack_step(slices, folder.name)
-    planes, padded = [], 0
+    planes = []
+    padded = 0
     for k in order:
         plane = _pixels(files[k], slices[k])
         padded += replace_padding(plane, headers[k], places[k])
@@ -171,7 +175,9 @@ def _require_inflated(file: Path) -> None:
     if meta.TransferSyntaxUID != pydicom.uid.DeflatedExplicitVRLittleEndian:
         return
     start = _PREAMBLE + len(_MAGIC) + _GROUP_LENGTH_BYTES + int(meta.FileMetaInformationGroupLength)
-    limit, found, inflate = memory_limit_bytes(), 0, zlib.decompressobj(-zlib.MAX_WBITS)
+    limit = memory_limit_bytes()
+    found = 0
+    inflate = zlib.decompressobj(-zlib.MAX_WBITS)
     packed = file.read_bytes()[start:]
     while packed and not inflate.eof and found <= limit:
         found += len(inflate.decompress(packed, _PIECE))

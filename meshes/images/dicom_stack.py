@@ -186,7 +186,8 @@ def both_ends(header: Header, place: str) -> float:
     bits = int(number(header, "BitsStored", 16.0, place))
     signed = int(number(header, "PixelRepresentation", 0.0, place)) == 1
     ends = -1.0 if signed else 2.0**bits - 1.0
-    slope, intercept = number(header, "RescaleSlope", 1.0, place), number(header, "RescaleIntercept", 0.0, place)
+    slope = number(header, "RescaleSlope", 1.0, place)
+    intercept = number(header, "RescaleIntercept", 0.0, place)
     return slope * ends + 2.0 * intercept
 
 
@@ -234,7 +235,8 @@ def replace_padding(plane: NDArray[np.number], header: Header, place: str) -> in
         return 0
     first = number(header, "PixelPaddingValue", 0.0, place)
     last = number(header, "PixelPaddingRangeLimit", first, place)
-    slope, intercept = (number(header, "RescaleSlope", 1.0, place), number(header, "RescaleIntercept", 0.0, place))
+    slope = number(header, "RescaleSlope", 1.0, place)
+    intercept = number(header, "RescaleIntercept", 0.0, place)
     low, high = sorted((slope * first + intercept, slope * last + intercept))
     half = 0.5 * abs(slope)
     padding = (plane > low - half) & (plane < high + half)

@@ -115,7 +115,8 @@ def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
     shape = np.array(stored.values.shape)
     corners = np.stack(np.meshgrid(*[(0, n - 1) for n in shape], indexing="ij"), axis=-1).reshape(-1, 3)
     points = corners @ steps.T + stored.origin_mm
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     count = np.ceil((high - low) / spacing - 1e-6).astype(int) + 1
     if math.prod(count.tolist()) > _MOST_VOXELS:
         raise InputError(

@@ -99,7 +99,8 @@ def read_by_itk(path: Path, reader_name: str, *, unit_mm: float, notes: tuple[st
     reader = itk_reader(path, reader_name)
     try:
         reader.ReadImageInformation()
-        size, kind = reader.GetSize(), SimpleITK.GetPixelIDValueAsString(reader.GetPixelID())
+        size = reader.GetSize()
+        kind = SimpleITK.GetPixelIDValueAsString(reader.GetPixelID())
         if len(size) != 3 or reader.GetNumberOfComponents() != 1 or "complex" in kind or 0 in size:
             raise InputError(
                 "file",

@@ -66,7 +66,8 @@ def _header(path: Path) -> Header:
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    first, header = first_bytes(path, 540), None
+    first = first_bytes(path, 540)
+    header = None
     kind = Nifti2Header if first[:4] in (b"\x1c\x02\0\0", b"\0\0\x02\x1c") else Nifti1Header
     with suppress(HeaderDataError, WrapStructError, ValueError):
         header = kind.from_fileobj(BytesIO(first[: kind.sizeof_hdr]), check=False)
@@ -148,7 +149,8 @@ def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]
 
 def _scaled(values: NDArray[np.number], header: Header, path: Path) -> NDArray[np.number]:
     """Values times slope plus intercept; a slope of 0 or NaN stands for none."""
-    slope, intercept = float(header["scl_slope"]), float(header["scl_inter"])
+    slope = float(header["scl_slope"])
+    intercept = float(header["scl_inter"])
     if slope == 0.0 or (np.isnan(slope) and (np.isnan(intercept) or intercept == 0.0)):
         return values
     if not (np.isfinite(slope) and np.isfinite(intercept)):

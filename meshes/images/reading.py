@@ -22,7 +22,8 @@ def read_vtk_image(path: Path) -> StoredImage:
     facts, arrays = parse_isolated(
         "meshes.images.reading:vtk_voxels", path, what="image volume", remedy="export it again"
     )
-    values, frame = arrays["values"], arrays["frame"].astype(np.float64)
+    values = arrays["values"]
+    frame = arrays["frame"].astype(np.float64)
     x, y, z = frame[3].tolist()
     return StoredImage(values.reshape(facts["shape"], order="F"), (x, y, z), frame[:3], frame[4])
 
@@ -103,7 +104,8 @@ def read_image(
         None if spacing_mm is None else require_positive("anatomy.spacing_mm", spacing_mm, "use the scanner's value")
     )
     path = Path(path)
-    slices, source = tiff_slices(path), path.name
+    slices = tiff_slices(path)
+    source = path.name
     if slices and given is None:
         raise InputError(
             "anatomy.spacing_mm",

@@ -21,7 +21,9 @@ __all__ = ["read_tiff_slices", "tiff_slices"]
 SUFFIXES = (".tif", ".tiff")
 _PATTERN_MARKS = "*?["
 _COLOUR_AXES = "SC"
-_MIN_IS_WHITE, _RGB, _PALETTE = 0, 2, 3
+_MIN_IS_WHITE = 0
+_RGB = 2
+_PALETTE = 3
 _UNCOMPRESSED = 1
 
 
@@ -182,14 +184,19 @@ def _planes(file: Path) -> _Planes:
 
     try:
         with tifffile.TiffFile(file) as stored:
-            page, series = stored.pages.first, stored.series[0]
+            page = stored.pages.first
+            series = stored.series[0]
             axes = dict(zip(series.axes, series.shape, strict=True))
             further = [other.keyframe for other in stored.series[1:]]
             reduced = sum(bool(other.is_reduced) for other in further)
-            photometric, samples = int(page.photometric), int(page.samplesperpixel)
-            rows, columns = int(axes.pop("Y")), int(axes.pop("X"))
-            bits, dtype = int(page.bitspersample), series.dtype
-            size, held = prod(series.shape) * series.dtype.itemsize, sum(page.databytecounts)
+            photometric = int(page.photometric)
+            samples = int(page.samplesperpixel)
+            rows = int(axes.pop("Y"))
+            columns = int(axes.pop("X"))
+            bits = int(page.bitspersample)
+            dtype = series.dtype
+            size = prod(series.shape) * series.dtype.itemsize
+            held = sum(page.databytecounts)
             plain = (
                 int(page.compression) == _UNCOMPRESSED and len(stored.pages) == prod(series.shape) // rows // columns
             )

@@ -95,9 +95,11 @@ class LabelledOrgan:
 
     def _with_parts(self, mesh: TetMesh, edge_mm: float, report: Progress) -> tuple[TetMesh, dict[str, str]]:
         """The mesh with its parts, and a note on each."""
-        notes, before = {}, np.zeros(self.solid.shape, dtype=bool)
+        notes = {}
+        before = np.zeros(self.solid.shape, dtype=bool)
         beyond = _BEYOND + int(np.ceil(_ENVELOPE * edge_mm / min(self.grid.spacing_mm)))
-        vertices, faces = self.surface.vertices_m, self.surface.faces
+        vertices = self.surface.vertices_m
+        faces = self.surface.faces
 
         def onto(points: NDArray[np.float64]) -> NDArray[np.float64]:
             return nearest_on_triangles(vertices, faces, points)
@@ -166,7 +168,8 @@ def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mas
     """The piece that holds most of the organ, its hollows filled, and notes on the rest and on the image's edge."""
     from scipy.ndimage import binary_fill_holes, label
 
-    notes, pieces = [], label(body)[0]
+    notes = []
+    pieces = label(body)[0]
     sizes = np.bincount(pieces[organ])
     solid: Mask = pieces == int(sizes.argmax())
     dropped_ml = 1e-3 * grid.voxel_mm3 * int(np.count_nonzero(body) - np.count_nonzero(solid))
@@ -185,7 +188,8 @@ def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mas
 
 def _ends(solid: Mask, grid: LabelGrid) -> list[str]:
     """Notes on where the image cuts an organ off, and on where its labels may end before it does."""
-    notes, cut_mm2 = [], 0.0
+    notes = []
+    cut_mm2 = 0.0
     for axis, name in enumerate("xyz"):
         layers = np.count_nonzero(solid, axis=tuple(each for each in range(3) if each != axis))
         area_mm2 = grid.voxel_mm3 / grid.spacing_mm[axis] * layers
@@ -258,7 +262,8 @@ def _part_triangles(
 
 def _of_volume(mesh: TetMesh, volume_m3: float) -> TetMesh:
     """The mesh with its surface laid outward by as much as makes its volume right: chords cut round bodies short."""
-    nodes, normals = mesh.surface_nodes, np.zeros(mesh.nodes_m.shape)
+    nodes = mesh.surface_nodes
+    normals = np.zeros(mesh.nodes_m.shape)
     for corner in mesh.surface.T:
         np.add.at(normals, corner, cross_products(mesh.nodes_m, mesh.surface))
     outward = normals[nodes] / np.linalg.norm(normals[nodes], axis=1, keepdims=True)

@@ -119,7 +119,8 @@ def _apart(points: Array, others: Array) -> float:
     """Mean distance of the points of two loops from each other."""
     from scipy.spatial import cKDTree
 
-    there, back = cKDTree(others).query(points)[0], cKDTree(points).query(others)[0]
+    there = cKDTree(others).query(points)[0]
+    back = cKDTree(points).query(others)[0]
     return float(max(there.mean(), back.mean()))
 
 

@@ -28,11 +28,14 @@ from meshes.surfaces.surface import Surface
 __all__ = ["SITE_KINDS", "FoundSite", "find_glenoid", "find_site"]
 
 # Glenoid. Sizes follow the adult face, 24 to 30 x 33 to 38 mm (`meshes.surfaces.glenoid`).
-_DISC, _RING, _REACH = 10e-3, 20e-3, 26e-3
+_DISC = 10e-3
+_RING = 20e-3
+_REACH = 26e-3
 _THICK = (6e-3, 18e-3)
 _CONVEX = 6.0  # curvature at which the score is halved [1/m]
 _SECTORS = 24
-_WIDTH, _LENGTH = (18e-3, 36e-3), (26e-3, 48e-3)
+_WIDTH = (18e-3, 36e-3)
+_LENGTH = (26e-3, 48e-3)
 _ELONGATED = 1.1  # smallest ratio of length to width: glenoids have 1.2 to 1.5, the end of a round shaft 1
 # Joint heads. Diameters: femur 36 to 58 mm (Unnanuntana 2010), humerus 37 to 57 mm (Hertel 2002).
 _RADII = np.arange(18e-3, 32.5e-3, 1e-3)

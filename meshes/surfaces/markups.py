@@ -22,7 +22,8 @@ TO_LPS = {"LPS": np.ones(3), "RAS": np.array([-1.0, -1.0, 1.0])}
 """Factors of x, y and z from each of the two frames of patients to LPS."""
 _FRAMES = {**TO_LPS, "0": TO_LPS["RAS"], "1": TO_LPS["LPS"]}
 """As `TO_LPS`, with the numbers that files before version 4.11 of 3D Slicer hold."""
-_POINTS, _CURVES = "Fiducial", ("Line", "Curve", "ClosedCurve")
+_POINTS = "Fiducial"
+_CURVES = ("Line", "Curve", "ClosedCurve")
 _COLUMNS = ("id", "x", "y", "z")
 
 
@@ -143,7 +144,8 @@ def read_curve(path: str | Path) -> NDArray[np.float64]:
 
 def _markup(record: dict[str, Any], file: Path) -> Markup:
     """One markup of a JSON file."""
-    kind, frame = str(record["type"]), _frame(record.get("coordinateSystem"), file)
+    kind = str(record["type"])
+    frame = _frame(record.get("coordinateSystem"), file)
     unit = record.get("coordinateUnits", "mm")
     if unit not in ("mm", ["mm", "mm", "mm"]):
         raise InputError("coordinateUnits", "be mm", f"{unit} in {file}", "save the markups in mm")

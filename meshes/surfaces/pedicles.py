@@ -13,7 +13,8 @@ from meshes.voxels.mesh_sampling import triangle_distance
 __all__ = ["VERTEBRA", "find_pedicle"]
 
 VERTEBRA = ("vertebra", "vertebra:left", "vertebra:right")
-_PIXEL, _STEP = 1e-3, 1e-3
+_PIXEL = 1e-3
+_STEP = 1e-3
 # Canals have 150 to 450 mm2; 50 to 90 % of that is seen through 17 real vertebrae.
 _CANAL_AREA = (40e-6, 900e-6)
 _ALONG = np.arange(-4e-3, 14.5e-3, 1e-3)
@@ -128,7 +129,8 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Fram
     ahead = (inner - canal.point) @ forward
     height = (inner - canal.point) @ canal.axis
     edge = 0.5 * float(np.sqrt(canal.area))
-    body, arch = height[ahead > edge], height[ahead < -edge]
+    body = height[ahead > edge]
+    arch = height[ahead < -edge]
     if len(body) < 0.35 * len(inner) or not len(arch):
         return None, f"{len(body) / len(inner):.0%} of the bone in front of the hole"
     origin = canal.point + body.mean() * canal.axis

@@ -23,7 +23,8 @@ _FLATTEST = 1e-3
 _TURNED = "Turned the surface outward: it was wound inward."
 _FARTHEST = 1e100
 """Coordinates beyond it count as not finite: their squares overflow."""
-_SMALLEST_MM, _LARGEST_MM = 1.0, 1000.0
+_SMALLEST_MM = 1.0
+_LARGEST_MM = 1000.0
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
 _CENTIMETRES = (6.0, 60.0)
 _INCH_MM = 25.4
@@ -139,7 +140,8 @@ def surface_from_triangles(
     InputError
         As in `read_surface`.
     """
-    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    vertices = np.asarray(vertices, dtype=np.float64)
+    faces = np.asarray(faces, dtype=np.int64)
     require_triangles(vertices, faces, source)
     if not -_FARTHEST < vertices.min() <= vertices.max() < _FARTHEST:
         bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
@@ -189,7 +191,8 @@ def _repaired(
         if inside_out:
             repairs.append(_TURNED)
         return vertices, faces, volume, repairs, inside_out, (), len(faces)
-    counts, scanned = edge_counts(faces), len(faces)
+    counts = edge_counts(faces)
+    scanned = len(faces)
     (vertices, faces), holes = fill_holes(vertices, faces, _HOLE_AREA, least_cap=_CAP_M2)
     if holes.large and not cut_off:
         raise InputError(

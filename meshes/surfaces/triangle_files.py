@@ -16,7 +16,8 @@ from meshes.surfaces.repair import Triangles
 __all__ = ["SURFACE_SUFFIXES", "read_triangles", "require_triangles"]
 
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
-_HEADER, _RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_HEADER = 84
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """Of binary STL: bytes before the triangles, and what each holds."""
 _IGNORED = frozenset(("vt", "vn", "vp", "p", "l", "g", "s", "mg", "o", "usemtl", "mtllib", "usemap", "maplib", "lod"))
 _IGNORED |= {"bevel", "c_interp", "d_interp", "shadow_obj", "trace_obj", "ctech", "stech", "call", "csh", "deg", "bmat"}

@@ -16,7 +16,8 @@ from meshes.base.isolated_parser import Answer
 
 __all__ = ["check_vtk", "mesh_arrays", "read_vtk", "vtk_mesh", "vtk_triangles"]
 
-_TETRAHEDRON, _QUADRATIC_TETRAHEDRON = 10, 24
+_TETRAHEDRON = 10
+_QUADRATIC_TETRAHEDRON = 24
 _CORNERS = {
     1: 1,
     3: 2,
@@ -85,7 +86,8 @@ def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
         if missing:
             raise DamagedFileError(f"{name} lacks {missing[0]} over its cells")
         if "layer" in wanted and data.n_cells:
-            layers, names = np.asarray(data.cell_data["layer"]), data.field_data.get("layer_names", ())
+            layers = np.asarray(data.cell_data["layer"])
+            names = data.field_data.get("layer_names", ())
             if layers.dtype.kind not in "iu" or layers.min() < 0 or layers.max() >= len(names):
                 raise DamagedFileError(f"{name} has layers without a name")
     return {}, {}

@@ -56,7 +56,8 @@ def pieces(cells: Cells) -> NDArray[np.int64]:
     from scipy.sparse.csgraph import connected_components
 
     where = cell_faces(cells)[1]
-    owner, face = np.repeat(np.arange(len(cells)), 4), len(cells) + where
+    owner = np.repeat(np.arange(len(cells)), 4)
+    face = len(cells) + where
     links = coo_array((np.ones(len(owner), dtype=np.int8), (owner, face)), shape=(face.max() + 1,) * 2)
     _, label = connected_components(links, directed=False)
     return np.unique(label[: len(cells)], return_inverse=True)[1]

@@ -13,7 +13,8 @@ from meshes.base.visible_text import visible
 
 __all__ = ["StoredMesh", "part_name", "read_msh"]
 
-_TRIANGLE, _TETRAHEDRON = 2, 4
+_TRIANGLE = 2
+_TETRAHEDRON = 4
 _LONGEST_NAME = 60
 _OPENINGS = {"$NOD": 1, "$MeshFormat": 2}
 

@@ -76,8 +76,12 @@ class TetReport:
 
     def sentences(self) -> tuple[str, ...]:
         """What was found and done, a sentence each; the first describes the mesh itself."""
-        nodes, cells, volumes = self.mesh.nodes_m, self.mesh.cells, self.mesh.volumes_m3
-        quality, pinched, bodies = mean_ratio(nodes, cells), pinched_edges(self.mesh.surface), pieces(cells).max() + 1
+        nodes = self.mesh.nodes_m
+        cells = self.mesh.cells
+        volumes = self.mesh.volumes_m3
+        quality = mean_ratio(nodes, cells)
+        pinched = pinched_edges(self.mesh.surface)
+        bodies = pieces(cells).max() + 1
         worst, smallest = (place(millimetres(nodes[cells[each.argmin()]])) for each in (quality, volumes))
         share = float(volumes.min() / volumes.max())
         found = [
@@ -141,14 +145,17 @@ def repair_tets(
     InputError
         If nodes are not finite, cells name none or overlap, or flat tetrahedra cannot be repaired.
     """
-    nodes, tets = np.asarray(nodes_m, dtype=np.float64), np.asarray(cells, dtype=np.int64)
+    nodes = np.asarray(nodes_m, dtype=np.float64)
+    tets = np.asarray(cells, dtype=np.int64)
     parts = np.zeros(len(tets), dtype=np.uint8) if part is None else np.asarray(part, dtype=np.uint8)
     _require_numbers(nodes, tets)
     given = nodes.shape[0], tets.shape[0]
     nodes, tets = _joined(nodes, tets)
     keep = np.sort(np.unique(np.sort(tets, axis=1), axis=0, return_index=True)[1])
-    joined, repeated = given[0] - len(nodes), given[1] - len(keep)
-    tets, parts = tets[keep], parts[keep]
+    joined = given[0] - len(nodes)
+    repeated = given[1] - len(keep)
+    tets = tets[keep]
+    parts = parts[keep]
     inverted = (signed_volumes(nodes, tets) < 0.0) & (flatness(nodes, tets) >= FLAT)
     inverted_at = _centre_mm(nodes, tets, inverted.argmax()) if inverted.any() else ()
     tets = np.where(inverted[:, None], tets[:, [0, 2, 1, 3]], tets)
@@ -206,7 +213,9 @@ def _without_flat(
         keep = ~candidates
         if not candidates.any() or not keep.any() or not _whole(cells, keep):
             return cells, parts, dropped
-        cells, parts, dropped = cells[keep], parts[keep], dropped + int(candidates.sum())
+        cells = cells[keep]
+        parts = parts[keep]
+        dropped = dropped + int(candidates.sum())
 
 
 def _flat_turned(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -249,7 +258,8 @@ def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> 
     """Nodes inside, away from the surface and from where parts meet, shape (n,)."""
     inner = np.ones(count, dtype=bool)
     inner[_surface(cells)] = False
-    lowest, highest = np.full(count, 255, dtype=np.uint8), np.zeros(count, dtype=np.uint8)
+    lowest = np.full(count, 255, dtype=np.uint8)
+    highest = np.zeros(count, dtype=np.uint8)
     np.minimum.at(lowest, cells, parts[:, None])
     np.maximum.at(highest, cells, parts[:, None])
     return inner & (lowest == highest)
@@ -377,7 +387,8 @@ def _best_place(
     score = float(mean_ratio(nodes, star).min())
     if score >= enough:
         return None
-    start, step = here, _FIRST_STEP
+    start = here
+    step = _FIRST_STEP
     centre = corners[~slot].mean(axis=0)
     while step > _SMALLEST_STEP:
         tries = np.concatenate([here + step * size * _DIRECTIONS, here + np.array([[0.5], [1.0]]) * (centre - here)])
@@ -386,7 +397,8 @@ def _best_place(
         worst = mean_ratio(flat, np.arange(len(flat)).reshape(-1, 4)).reshape(len(tries), -1).min(axis=1)
         best = int(worst.argmax())
         if worst[best] > score + 1e-6:
-            here, score = tries[best], float(worst[best])
+            here = tries[best]
+            score = float(worst[best])
         else:
             step *= 0.5
     return None if here is start else here

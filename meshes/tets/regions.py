@@ -30,7 +30,8 @@ def nodes_behind_plane(mesh: TetMesh, *, point_m: Sequence[float], normal: Seque
     InputError
         If none is, naming how far the nearest is.
     """
-    point, axis = require_vector("point_m", point_m), require_direction("normal", normal)
+    point = require_vector("point_m", point_m)
+    axis = require_direction("normal", normal)
     points = mesh.nodes_m[mesh.surface_nodes]
     away = (points - point) @ axis
     chosen = mesh.surface_nodes[away <= 1e-9 * float(np.ptp(mesh.nodes_m, axis=0).max())]  # a margin for rounding

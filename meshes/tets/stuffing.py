@@ -33,7 +33,8 @@ EDGE_GROWTH = 0.5
 """Growth of the edges with the distance from where they are fine, as in scenes."""
 _EDGES = 3.0
 """Edges across a ball, or two across a tube: quadratic ones bend with it."""
-_TRIES, _CLOSE = 4, 0.01
+_TRIES = 4
+_CLOSE = 0.01
 """Meshes of an inclusion that are tried, and the share of its volume that is close enough: of those that are the one
 with the best worst cell is kept, else the nearest."""
 
@@ -56,7 +57,8 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     longest = max(np.subtract(shape.upper_m, shape.lower_m))
     advised = longest / 20.0 if math.isfinite(longest) else 1e-3
     spacing = require_length("spacing_m", spacing_m, 0.0, math.inf, advised)
-    lower, upper = np.array(shape.lower_m), np.array(shape.upper_m)
+    lower = np.array(shape.lower_m)
+    upper = np.array(shape.upper_m)
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
         raise InputError("shape", "have an end in every direction", "an endless one", "intersect it with a box")
     if 12.0 * np.prod((upper - lower) / spacing + 2.0) > _MOST_CELLS:
@@ -157,7 +159,8 @@ def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> 
     if len(plus) == 3:
         return _prism(plus, [at(p, minus[0]) for p in plus])
     p, q = plus
-    cp, cq = at(p, minus[0]), at(q, minus[0])
+    cp = at(p, minus[0])
+    cq = at(q, minus[0])
     if min(p, cq) < min(q, cp):
         return [[p, q, cq, zero[0]], [p, cq, cp, zero[0]]]
     return [[q, cq, cp, zero[0]], [q, cp, p, zero[0]]]
@@ -180,13 +183,15 @@ def _snapped(
 ) -> tuple[Points, NDArray[np.float64]]:
     """Nodes within a share of a crossed edge of the surface moved onto the nearest crossing, where no cell suffers."""
     _, pairs = _crossed_edges(cells, np.sign(value).astype(np.int64))
-    node, point = pairs.T.ravel(), np.tile(_crossings(nodes, value, pairs, distance), (2, 1))
+    node = pairs.T.ravel()
+    point = np.tile(_crossings(nodes, value, pairs, distance), (2, 1))
     length = np.tile(np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1), 2)
     away = np.linalg.norm(point - nodes[node], axis=1)
     nearest = np.argsort(away, kind="stable")
     nearest = nearest[(away < _SNAP * length)[nearest]]
     chosen, first = np.unique(node[nearest], return_index=True)
-    moved, value = nodes.copy(), value.copy()
+    moved = nodes.copy()
+    value = value.copy()
     moved[chosen] = point[nearest[first]]
     # Of the moves that together spoil a cell the longest is taken back: a node left near the surface makes slivers.
     moved_by = np.linalg.norm(moved - nodes, axis=1)
@@ -205,10 +210,14 @@ def _snapped(
 
 def _crossings(nodes: Points, value: NDArray[np.float64], pairs: Cells, distance: Distance) -> Points:
     """Where the surface crosses the edges, shape (k, 3), by regula falsi (Illinois)."""
-    a, b = nodes[pairs[:, 0]], nodes[pairs[:, 1]]
-    low, high = np.zeros(len(pairs)), np.ones(len(pairs))
-    at_low, at_high = value[pairs[:, 0]].copy(), value[pairs[:, 1]].copy()
-    t, last = low, np.zeros(len(pairs))
+    a = nodes[pairs[:, 0]]
+    b = nodes[pairs[:, 1]]
+    low = np.zeros(len(pairs))
+    high = np.ones(len(pairs))
+    at_low = value[pairs[:, 0]].copy()
+    at_high = value[pairs[:, 1]].copy()
+    t = low
+    last = np.zeros(len(pairs))
     for _ in range(_STEPS):
         slope = at_high - at_low
         t = low - at_low * (high - low) / np.where(slope == 0.0, 1.0, slope)
@@ -216,8 +225,10 @@ def _crossings(nodes: Points, value: NDArray[np.float64], pairs: Cells, distance
         moved = np.where(here * at_low > 0.0, 1.0, -1.0)
         # The end that stays a second time counts half, else it would stay for ever.
         again = np.where(moved == last, 0.5, 1.0)
-        at_high, at_low = (np.where(moved > 0.0, at_high * again, here), np.where(moved > 0.0, here, at_low * again))
-        low, high = np.where(moved > 0.0, t, low), np.where(moved > 0.0, high, t)
+        at_high = np.where(moved > 0.0, at_high * again, here)
+        at_low = np.where(moved > 0.0, here, at_low * again)
+        low = np.where(moved > 0.0, t, low)
+        high = np.where(moved > 0.0, high, t)
         last = moved
     return np.asarray(a + t[:, None] * (b - a))
 
@@ -232,7 +243,8 @@ def _lattice(lower: Points, upper: Points, spacing: float) -> tuple[Points, Cell
     middles = corners.size + np.arange(middle[..., 0].size).reshape(middle.shape[:3])
     tets = []
     for axis in range(3):
-        face, middle = np.moveaxis(corners, axis, 0)[1:-1], np.moveaxis(middles, axis, 0)
+        face = np.moveaxis(corners, axis, 0)[1:-1]
+        middle = np.moveaxis(middles, axis, 0)
         ring = [face[:, :-1, :-1], face[:, 1:, :-1], face[:, 1:, 1:], face[:, :-1, 1:]]
         for edge in zip(ring, [*ring[1:], ring[0]], strict=True):
             tets.append(np.stack([middle[:-1], middle[1:], *edge], axis=-1).reshape(-1, 4))
@@ -278,14 +290,19 @@ def with_inclusion(
     edge_m = 6.0 / _EDGES * volume_m3 / area_m2
     fine = bisected(mesh, lambda points: edge_m + EDGE_GROWTH * np.abs(distance(points)), onto=onto)
     # Chords cut a round body's volume short: the surface is laid outside it by as much as makes the volume right.
-    laid_m, made, share, best = 0.0, fine, 1.0, (np.inf, 0.0)
+    laid_m = 0.0
+    made = fine
+    share = 1.0
+    best = (np.inf, 0.0)
     for _ in range(_TRIES):
         tried = with_part(fine, Shape(lambda points: distance(points) - laid_m), name)  # noqa: B023
         missing_m3 = volume_m3 - float(tried.volumes_m3[tried.part == len(tried.part_names) - 1].sum())
         off = abs(missing_m3) / volume_m3
         score = max(off, _CLOSE), -float(mean_ratio(tried.nodes_m, tried.cells).min())
         if score < best:
-            made, share, best = tried, off, score
+            made = tried
+            share = off
+            best = score
         laid_m += missing_m3 / area_m2
     size = f"{1e6 * volume_m3:.3g} ml, in the mesh within {share:.1%}"
     return made, f"{size} by edges of at most {1e3 * edge_m:.2g} mm"

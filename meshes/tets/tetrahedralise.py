@@ -28,7 +28,8 @@ FILL_EDGES = 14.0
 _CELLS = 30_000
 _EDGE_PER_CELL = 2.7
 """Target edge over the cube root of the mean cell volume, as fTetWild came out on a liver."""
-_ENVELOPE, _FARTHEST_M = 0.1, 4e-4
+_ENVELOPE = 0.1
+_FARTHEST_M = 4e-4
 """Distance that the surface may move, over the edge, and at most [m]: less than the voxels of the scans behind it."""
 _VOLUME_OFF = 0.005
 """Share by which the volume of the mesh may differ before a sentence states it."""
@@ -132,7 +133,8 @@ def crossing_triangles(vertices: NDArray[np.float64], faces: NDArray[np.int64]) 
     from scipy.spatial import cKDTree
 
     edges = np.unique(np.sort(directed_edges(faces), axis=1), axis=0)
-    corners, ends = vertices[faces], vertices[edges]
+    corners = vertices[faces]
+    ends = vertices[edges]
     centres = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
     half = 0.5 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -157,7 +159,8 @@ def _pass_through(
     """Whether the edge passes through the triangle, pair by pair."""
     apart = (triangles[:, :, None] != edges[:, None, :]).all(axis=(1, 2))
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    p, q = vertices[edges[:, 0]], vertices[edges[:, 1]]
+    p = vertices[edges[:, 0]]
+    q = vertices[edges[:, 1]]
     normal = np.cross(b - a, c - a)
     sides = np.einsum("ij,ij->i", p - a, normal) * np.einsum("ij,ij->i", q - a, normal)
     around = np.stack([np.einsum("ij,ij->i", q - p, np.cross(u - p, v - p)) for u, v in ((a, b), (b, c), (c, a))])
@@ -178,7 +181,8 @@ def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
     within_m
         Farthest that the surface may move [m]; where it would move farther, it stays.
     """
-    moved, free = mesh, np.ones(len(mesh.nodes_m))
+    moved = mesh
+    free = np.ones(len(mesh.nodes_m))
     for _ in range(_STEPS):
         corners = moved.nodes_m[moved.surface]
         areas = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
