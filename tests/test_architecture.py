@@ -43,7 +43,7 @@ LAYERS = (
     ("tissue.__main__",),
 )
 """From the ground up; a module imports from its own package and from layers below."""
-LONGEST = 300
+LONGEST = 400
 
 
 def package_of(module):

@@ -252,9 +252,16 @@ def _as_number(name: str, value: object, remedy: str) -> float:
 
 @contextmanager
 def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
-    """Give an `InputError` the caller's name of its argument, such as the key of a scene, by the name it has here."""
+    """Give an `InputError` the caller's name of its argument, such as the key of a scene, by the name it has here.
+
+    An element, such as ``tau_s[0]``, is named by the whole.
+    """
     try:
         yield
     except InputError as error:
-        error.argument = names.get(error.argument, error.argument)
+        whole, bracket, element = error.argument.partition("[")
+        if error.argument in names:
+            error.argument = names[error.argument]
+        elif whole in names:
+            error.argument = f"{names[whole]}{bracket}{element}"
         raise

@@ -151,7 +151,7 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
 def _glenoid_score(samples: SurfaceSamples, number: int, near: NDArray[np.int64]) -> tuple[Array, float]:
     """Smoothed normal at a sample, and the likeness of the surface around it to a glenoid, 0 to 1.
 
-    The likeness is high where a disc of 10 mm radius is covered by surface that faces one way, the surface drops away
+    The likeness is high where surface that faces one direction covers a disc of 10 mm radius, the surface falls off
     beyond 20 mm, the bone behind is thick, and the disc is not convex.
     """
     offset = samples.points[near] - samples.points[number]

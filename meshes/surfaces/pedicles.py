@@ -121,16 +121,16 @@ def _hole(points: Array, axis: Array) -> _Hole:
 def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Frame | None, str]:
     """Left, forward and up of a vertebra, or what contradicts one.
 
-    The body is in front. The pedicles leave its upper half and the arch hangs, which tells up from down.
+    The body is in front. The pedicles leave its upper half and the arch hangs, which distinguishes up from down.
     """
     to_middle = inner.mean(axis=0) - canal.point
     forward = to_middle - (to_middle @ canal.axis) * canal.axis
     forward /= np.linalg.norm(forward)
-    ahead = (inner - canal.point) @ forward
+    in_front = (inner - canal.point) @ forward
     height = (inner - canal.point) @ canal.axis
     edge = 0.5 * float(np.sqrt(canal.area))
-    body = height[ahead > edge]
-    arch = height[ahead < -edge]
+    body = height[in_front > edge]
+    arch = height[in_front < -edge]
     if len(body) < 0.35 * len(inner) or not len(arch):
         return None, f"{len(body) / len(inner):.0%} of the bone in front of the hole"
     origin = canal.point + body.mean() * canal.axis

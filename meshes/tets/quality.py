@@ -20,12 +20,21 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, by, in_brackets
+from meshes.base.errors import InputError, by
 from meshes.base.simplices import compact, windings
-from meshes.tets.checks import cell_faces, flatness, mean_ratio, pieces, pinched_edges, signed_volumes
+from meshes.tets.checks import (
+    cell_faces,
+    flatness,
+    mean_ratio,
+    millimetres,
+    pieces,
+    pinched_edges,
+    place,
+    signed_volumes,
+)
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["FLAT", "SLIVER", "TetReport", "millimetres", "place", "repair_tets", "smooth"]
+__all__ = ["FLAT", "SLIVER", "TetReport", "repair_tets", "smooth"]
 
 _DEBRIS = 0.01
 _COINCIDENT = 1e-9
@@ -35,6 +44,7 @@ SLIVER = 0.1
 """Mean ratio below which a tetrahedron is a sliver (1: regular)."""
 _UNEVEN = 1e-3
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+_SWEEPS = 3
 _FIRST_STEP = 0.25
 _SMALLEST_STEP = 0.004
 
@@ -315,24 +325,11 @@ def _require_volume(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> Non
         )
 
 
-def millimetres(points_m: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Mean of points [m], shape (n, 3), in mm."""
-    x, y, z = 1e3 * points_m.mean(axis=0)
-    return float(x), float(y), float(z)
-
-
-def place(at_mm: tuple[float, ...]) -> str:
-    """Place [mm] as a person reads it."""
-    return in_brackets(at_mm, ".3g")
-
-
 def smooth(
     nodes: NDArray[np.float64],
     cells: NDArray[np.int64],
     movable: NDArray[np.bool_],
     enough: float,
-    *,
-    sweeps: int = 3,
 ) -> tuple[NDArray[np.float64], int]:
     """Move nodes of cells worse than `enough` by pattern search on the worst mean ratio around each.
 
@@ -346,8 +343,6 @@ def smooth(
         Whether a node may move, shape (n,).
     enough
         Mean ratio from which a cell is left alone.
-    sweeps
-        Times to go through the cells.
 
     Returns
     -------
@@ -357,7 +352,7 @@ def smooth(
     order = np.argsort(cells.ravel(), kind="stable")
     starts = np.searchsorted(cells.ravel()[order], np.arange(len(nodes) + 1))
     moved: set[int] = set()
-    for _ in range(sweeps):
+    for _ in range(_SWEEPS):
         quality = mean_ratio(nodes, cells)
         bad = np.flatnonzero(quality < enough)
         # Worst cells first: what they gain, their neighbours start from.

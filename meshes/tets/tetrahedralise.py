@@ -17,8 +17,8 @@ from meshes.base.progress import Progress, silent
 from meshes.base.simplices import directed_edges
 from meshes.surfaces.repair import edge_counts
 from meshes.surfaces.surface import Surface
-from meshes.tets.checks import signed_volumes
-from meshes.tets.quality import millimetres, place, repair_tets
+from meshes.tets.checks import millimetres, place, signed_volumes
+from meshes.tets.quality import repair_tets
 from meshes.tets.tetrahedra import TetMesh
 
 __all__ = ["FILL_EDGES", "crossing_triangles", "tetrahedralise", "with_volume"]
