@@ -84,10 +84,6 @@ def test_layers_and_densities(face):
     assert (np.diff(column.astype(int)) >= 0).all() and column[-1] > column[0] + 50  # densest below the plate
 
 
-def test_layer_volumes_make_the_whole(face):
-    assert sum(face.volume_m3(name) for name in LAYERS) == pytest.approx(face.volume_m3(), rel=1e-12)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
