@@ -59,13 +59,13 @@ def find_pedicle(surface: Surface, kind: str) -> FoundSite:
     other = "right" if side == "left" else "left"
     site, radius = found[side]
     second, second_radius = found[other]
-    note = (
-        f"found by search: {side} pedicle, at least {2e3 * radius:.1f} mm of bone across its axis, {other} one "
-        f"{2e3 * second_radius:.1f} mm; check it in the picture"
-    )
     # Scores fall for canals below 60 mm2 and for pedicles with less than 6 mm of bone.
     certain = min(canal.area / 60e-6, 1.0)
     score = certain * min(radius / 3e-3, 1.0)
+    note = (
+        f"found by search: {side} pedicle, at least {2e3 * radius:.1f} mm of bone across its axis, {other} one "
+        f"{2e3 * second_radius:.1f} mm, score {score:.2f} of 1; check it in the picture"
+    )
     site = replace(site, confidence=note)
     if kind != "vertebra":
         return FoundSite(site, score)
