@@ -13,7 +13,8 @@ from meshes.shapes.anatomy import Anatomy, cortical_block
 from meshes.shapes.sdf import Shape
 from meshes.surfaces.bone_surface import surface_anatomy
 from meshes.surfaces.glenoid import glenoid
-from meshes.surfaces.site import Site, find_glenoid, place_site
+from meshes.surfaces.landmarks import find_glenoid
+from meshes.surfaces.site import Site, place_site
 from meshes.surfaces.surface import Surface, SurfaceReport, read_surface
 from meshes.tooth.label_volume import labelled_tooth
 from meshes.tooth.layered_surfaces import layered_surfaces

@@ -1,7 +1,6 @@
 """The error a person sees when an input cannot be used, and the checks that raise it."""
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +15,6 @@ __all__ = [
     "by",
     "counted",
     "in_brackets",
-    "in_callers_words",
     "is_file",
     "is_folder",
     "names_of_caller",
@@ -33,13 +31,41 @@ _LONGEST_PATH = 500
 
 
 class InputError(ValueError):
-    """An input that cannot be used: one sentence with argument, value, requirement and remedy.
+    """Input that cannot be used.
 
-    A line break in it, such as one in a file's name, is shown as it is written in a string.
+    The message is formatted from the fields when it is printed, so a caller can give its own name of the argument
+    (`names_of_caller`). Line breaks, such as one in a file name, are printed as in a string literal.
+
+    Parameters
+    ----------
+    argument
+        Name of the argument. A whole message where no requirement is given.
+    requirement
+        Requirement on it, which follows "must".
+    value
+        Value that was given.
+    remedy
+        What to do.
+    unit
+        Unit of the value, where neither the name nor the value states it.
     """
 
-    def __init__(self, *sentence: object) -> None:
-        super().__init__(*(each.replace("\n", "\\n") if isinstance(each, str) else each for each in sentence))
+    def __init__(
+        self, argument: object, requirement: str = "", value: object = "", remedy: str = "", unit: str = ""
+    ) -> None:
+        super().__init__(argument, requirement, value, remedy, unit)
+        self.argument = str(argument)
+        self.requirement = requirement
+        self.value = value
+        self.remedy = remedy
+        self.unit = unit
+
+    def __str__(self) -> str:
+        message = self.argument
+        if self.requirement:
+            value = f"{self.value} {self.unit}" if self.unit else self.value
+            message = f"{message} must {self.requirement}, got {value}: {self.remedy}"
+        return message.replace("\n", "\\n")
 
 
 class DamagedFileError(Exception):
@@ -80,7 +106,7 @@ def require_positive(name: str, value: float, remedy: str) -> float:
     """
     number = _as_number(name, value, remedy)
     if not (math.isfinite(number) and number > 0.0):
-        raise InputError(f"{name} must be positive and finite, got {value}: {remedy}")
+        raise InputError(name, "be positive and finite", value, remedy)
     return number
 
 
@@ -94,15 +120,14 @@ def require_range(name: str, value: float, lowest: float, highest: float, remedy
     """
     number = _as_number(name, value, remedy)
     if not lowest <= number <= highest:
-        raise InputError(f"{name} must be in [{lowest:g}, {highest:g}], got {value}: {remedy}")
+        raise InputError(name, f"be in [{lowest:g}, {highest:g}]", value, remedy)
     return number
 
 
 def require_length(name: str, value_m: float, lowest_m: float, highest_m: float, advised_m: float) -> float:
     """Return `value_m` as a float if it lies in the closed interval [lowest_m, highest_m].
 
-    The message states lengths in millimetres, so it stays right when `names_of_caller` puts a name in
-    millimetres in place of one in metres.
+    The error states lengths in millimetres: callers have arguments in metres and in millimetres.
 
     Parameters
     ----------
@@ -113,7 +138,7 @@ def require_length(name: str, value_m: float, lowest_m: float, highest_m: float,
     lowest_m, highest_m
         Smallest and largest valid length [m]; 0 and infinity are no bounds.
     advised_m
-        Length that the message advises [m].
+        Length that the error advises [m].
 
     Raises
     ------
@@ -124,12 +149,12 @@ def require_length(name: str, value_m: float, lowest_m: float, highest_m: float,
     length = _as_number(name, value_m, remedy)
     if math.isfinite(length) and length > 0.0 and lowest_m <= length <= highest_m:
         return length
-    required = "positive and finite"
+    required = "be positive and finite"
     if math.isfinite(highest_m):
-        required = f"from {1e3 * lowest_m:.4g} mm to {1e3 * highest_m:.4g} mm"
+        required = f"be from {1e3 * lowest_m:.4g} mm to {1e3 * highest_m:.4g} mm"
         if lowest_m == 0.0:
-            required = f"positive and at most {1e3 * highest_m:.4g} mm"
-    raise InputError(f"{name} must be {required}, got {1e3 * length:.4g} mm: {remedy}")
+            required = f"be positive and at most {1e3 * highest_m:.4g} mm"
+    raise InputError(name, required, f"{1e3 * length:.4g}", remedy, "mm")
 
 
 def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
@@ -156,7 +181,7 @@ def require_vector(name: str, value: Sequence[float] | NDArray[np.float64]) -> N
     """
     vector = as_vector(value)
     if vector is None:
-        raise InputError(f"{name} must be three finite numbers, got {value}: use for example (0, 0, 1)")
+        raise InputError(name, "be three finite numbers", value, "use for example (0, 0, 1)")
     return vector
 
 
@@ -173,7 +198,7 @@ def require_direction(
     vector = require_vector(name, value)
     length = float(np.linalg.norm(vector))
     if length == 0.0:
-        raise InputError(f"{name} must not be zero, got (0, 0, 0): {remedy}")
+        raise InputError(name, "not be zero", "(0, 0, 0)", remedy)
     return vector / length
 
 
@@ -208,46 +233,35 @@ def require_file(file: Path, content: str) -> None:
         If it is.
     """
     if not is_file(file):
-        raise InputError(
-            f"file must exist, got {_short(file)}: check the path, which is taken from the working directory"
-        )
+        raise InputError("file", "exist", _short(file), "check the path, which is taken from the working directory")
     if file.stat().st_size == 0:
-        raise InputError(f"file must hold {content}, got the empty file {file.name}: export it again")
+        raise InputError("file", f"hold {content}", f"the empty file {file.name}", "export it again")
 
 
 def _as_number(name: str, value: object, remedy: str) -> float:
     """Convert to float, refusing what is not a number (booleans among them)."""
     if isinstance(value, bool):
-        raise InputError(f"{name} must be a number, got {value!r}: {remedy}")
+        raise InputError(name, "be a number", f"{value!r}", remedy)
     try:
         return float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError) as problem:
-        raise InputError(f"{name} must be a number, got {value!r}: {remedy}") from problem
+        raise InputError(name, "be a number", f"{value!r}", remedy) from problem
     except OverflowError as problem:
-        raise InputError(f"{name} must be a number below 1e308, got {str(value)[:12]}...: {remedy}") from problem
+        raise InputError(name, "be a number below 1e308", f"{str(value)[:12]}...", remedy) from problem
 
 
 @contextmanager
 def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
-    """Let a refusal name what the caller has: ``names`` holds it by the words with which a refusal begins."""
+    """Give an `InputError` the caller's name of its argument, such as the key of a scene, by the name it has here.
+
+    An element, such as ``tau_s[0]``, is named by the whole.
+    """
     try:
         yield
     except InputError as error:
-        raise InputError(in_callers_words(str(error), names)) from error
-
-
-def in_callers_words(message: str, names: Mapping[str, str]) -> str:
-    """Return a message with the caller's name of the argument, such as the key of a scene.
-
-    Numbers are not touched. A message that can reach a caller whose argument is in millimetres therefore states
-    its lengths in millimetres, with the unit: see `require_length`.
-    """
-    for words, key in sorted(names.items(), key=lambda item: -len(item[0])):
-        if not re.match(rf"{re.escape(words)}(?![\w.])", message):
-            continue
-        argument = words.split(" ", 1)[0]
-        message = key + message.removeprefix(words)
-        if "_" not in argument:
-            return message  # a plain word, which may have its plain meaning further on
-        return re.sub(rf"(?<![\w.]){re.escape(argument)}(?!\w)", key.split(" ", 1)[0], message)
-    return message
+        whole, bracket, element = error.argument.partition("[")
+        if error.argument in names:
+            error.argument = names[error.argument]
+        elif whole in names:
+            error.argument = f"{names[whole]}{bracket}{element}"
+        raise

@@ -70,9 +70,10 @@ def require_memory(needed: int, file: str, content: str) -> None:
         return
     source = "as given" if _limit_GB.get() is not None else "half of the free memory"
     raise InputError(
-        f"file must fit {limit / _GB:.3g} GB of memory ({source}), got {content} in {file}, which take "
-        f"{needed / _GB:.3g} GB: crop or resample it, or raise the limit with --max-memory-GB "
-        "(max_memory_GB in Python)"
+        "file",
+        f"fit {limit / _GB:.3g} GB of memory ({source})",
+        f"{content} in {file}, which take {needed / _GB:.3g} GB",
+        "crop or resample it, or raise the limit with --max-memory-GB (max_memory_GB in Python)",
     )
 
 
@@ -93,7 +94,7 @@ def require_regular(file: Path) -> Path:
         return file  # it is missing or has an impossible name: the code that opens it reports that
     if not stat.S_ISREG(mode):
         kind = "a folder" if stat.S_ISDIR(mode) else "a device, a named pipe or a socket"
-        raise InputError(f"file must be a regular file, got {file}, which is {kind}: copy its content to a file")
+        raise InputError("file", "be a regular file", f"{file}, which is {kind}", "copy its content to a file")
     return file
 
 

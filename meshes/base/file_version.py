@@ -51,13 +51,15 @@ def require_version(
     """
     stated = held.get(key)
     if isinstance(stated, bool) or not isinstance(stated, int) or stated < 1:
-        raise InputError(f"{what} must state the version of its format, got {str(stated)[:40]} in {where}: {remedy}")
+        raise InputError(what, "state the version of its format", f"{str(stated)[:40]} in {where}", remedy)
     if stated > newest:
         writer = str(held.get("tissue", "a later version"))[:40]
         raise InputError(
-            f"{what} must be of format {newest} or older, got {stated}, written by tissue {writer}, in {where}: read "
-            "it with that version of tissue"
+            what,
+            f"be of format {newest} or older",
+            f"{stated}, written by tissue {writer}, in {where}",
+            "read it with that version of tissue",
         )
     if stated < oldest:
-        raise InputError(f"{what} must be of format {oldest} or newer, got {stated} in {where}: {remedy}")
+        raise InputError(what, f"be of format {oldest} or newer", f"{stated} in {where}", remedy)
     return stated

@@ -32,12 +32,15 @@ Answer = tuple[Facts, dict[str, NDArray[np.number]]]
 """What a parser returns: facts, and arrays by name."""
 
 _START = start_code("meshes.base.isolated_parser", "_serve")
-_LONGEST_S, _BYTES_A_SECOND = 60.0, 1_000_000
-_LEAST_BYTES, _BYTES_A_BYTE = 2 << 30, 64
+_LONGEST_S = 60.0
+_BYTES_A_SECOND = 1_000_000
+_LEAST_BYTES = 2 << 30
+_BYTES_A_BYTE = 64
 """Memory that a parser may take at least, and for each byte of the file: label images shrink to a hundredth."""
 _LIBRARIES_BYTES = 256 << 20
 """Memory of the interpreter and its libraries, which does not count against the memory limit of files."""
-_LOOK_EVERY_S, _LAST_S = 0.05, 2.0
+_LOOK_EVERY_S = 0.05
+_LAST_S = 2.0
 
 
 def parse_isolated(
@@ -71,8 +74,10 @@ def parse_isolated(
     """
     if not sys.executable:
         raise InputError(
-            f"file must be read by a second Python, which this one cannot start, got {file.name}: read it from the "
-            "command line"
+            "file",
+            "be read by a second Python, which this one cannot start",
+            file.name,
+            "read it from the command line",
         )
     if not file.is_dir():
         require_regular(file)
@@ -94,16 +99,16 @@ def parse_isolated(
             process.wait()
             reason = monitor.reason or ("it takes too much memory" if isinstance(problem, MemoryError) else "")
             reason = reason or f"its parser crashed with exit code {process.returncode}"
-            raise InputError(f"file must be a readable {what}, got {file.name} ({reason}): {remedy}") from None
+            raise InputError("file", f"be a readable {what}", f"{file.name} ({reason})", remedy) from None
         except BaseException:
             process.kill()
             raise
         finally:
             monitor.done.set()
     if "refused" in answer:
-        raise InputError(answer["refused"])
+        raise InputError(*answer["refused"])
     if "problem" in answer:
-        raise InputError(f"file must be a readable {what}, got {file.name} ({answer['problem']}): {remedy}")
+        raise InputError("file", f"be a readable {what}", f"{file.name} ({answer['problem']})", remedy)
     return answer["facts"], arrays
 
 
@@ -113,7 +118,8 @@ class _Monitor:
     def __init__(self, process: subprocess.Popen[bytes], longest_s: float, most_bytes: int) -> None:
         import psutil
 
-        self.reason, self.done = "", Event()
+        self.reason = ""
+        self.done = Event()
         most_bytes = min(most_bytes, memory_limit_bytes() + _LIBRARIES_BYTES)
 
         def end_when_over() -> None:
@@ -167,11 +173,12 @@ def _serve() -> None:
         arrays = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
         answer = {"facts": facts, "arrays": [(key, each.dtype.str, each.shape) for key, each in arrays.items()]}
     except InputError as problem:
-        answer = {"refused": str(problem)}
+        answer = {"refused": [str(field) for field in problem.args]}
     except DamagedFileError as problem:
         answer = {"problem": " ".join(str(problem).split())[:160]}
     except Exception:  # the libraries raise many kinds, none documented
-        answer, arrays = {"problem": "it is damaged or cut off"}, {}
+        answer = {"problem": "it is damaged or cut off"}
+        arrays = {}
     answers.write(json.dumps(answer).encode() + b"\n")
     for array in arrays.values():
         if array.size:

@@ -77,10 +77,13 @@ class Placement:
                 and np.linalg.det(turn) > 0.0
             )
         except (KeyError, TypeError, ValueError, IndexError):
-            rigid, unit = False, 0.0
+            rigid = False
+            unit = 0.0
         if not (rigid and np.isfinite(unit) and unit > 0.0):
             raise InputError(
-                "placement must hold file_to_scene_mm, a rigid motion of 4 x 4 numbers, and file_unit_mm, got "
-                f"{record!r:.200}: run the scene again"
+                "placement",
+                "hold file_to_scene_mm, a rigid motion of 4 x 4 numbers, and file_unit_mm",
+                f"{record!r:.200}",
+                "run the scene again",
             )
         return cls(-turn.T @ matrix[:3, 3], turn.T, unit)

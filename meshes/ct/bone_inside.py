@@ -190,13 +190,17 @@ def _require_covered(surface: Surface, density: Image) -> None:
     covered = float(there.sum() / len(at))
     if covered < _LEAST_COVERED:
         raise InputError(
-            f"density_file must hold the density of the bone up to its surface, got none at {1 - covered:.0%} of the "
-            f"surface of {surface.report.source} in {density.source}: give both in one frame (LPS, mm)"
+            "density_file",
+            "hold the density of the bone up to its surface",
+            f"none at {1 - covered:.0%} of the surface of {surface.report.source} in {density.source}",
+            "give both in one frame (LPS, mm)",
         )
     if not np.isfinite(density.values).all() or density.values.min() < 0 or density.values.max() > 20_000:
         raise InputError(
-            f"density_file must hold apparent densities from 0 to 20000 kg/m3, got {density.values.min():g} to "
-            f"{density.values.max():g} in {density.source}: convert Hounsfield units by `tissue import`"
+            "density_file",
+            "hold apparent densities from 0 to 20000 kg/m3",
+            f"{density.values.min():g} to {density.values.max():g} in {density.source}",
+            "convert Hounsfield units by `tissue import`",
         )
 
 
@@ -207,6 +211,8 @@ def _require_within(surface: Surface, core: Surface) -> None:
     touching = float((away <= _FARTHEST_OUT_M).mean())
     if touching < _LEAST_TOUCHING:
         raise InputError(
-            f"core_file must lie within anatomy.file, got {1.0 - touching:.0%} of {core.report.source} outside "
-            f"{surface.report.source}: give both in one frame and unit"
+            "core_file",
+            "lie within anatomy.file",
+            f"{1.0 - touching:.0%} of {core.report.source} outside {surface.report.source}",
+            "give both in one frame and unit",
         )

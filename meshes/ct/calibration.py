@@ -101,8 +101,10 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     tissues = [tissue for tissue in _SPREAD if tissue in regions]
     if len(tissues) < 2 or not {"adipose", "muscle"}.intersection(tissues):
         raise InputError(
-            f"an internal calibration must find fat or muscle and a second tissue, got {', '.join(tissues) or 'none'} "
-            f"in {source}: keep the soft tissue in the image, or give a phantom's line as line:SLOPE,OFFSET"
+            "an internal calibration",
+            "find fat or muscle and a second tissue",
+            f"{', '.join(tissues) or 'none'} in {source}",
+            "keep the soft tissue in the image, or give a phantom's line as line:SLOPE,OFFSET",
         )
     means = np.array([regions[tissue].mean_HU for tissue in tissues])
     errors = np.array([regions[tissue].error_HU for tissue in tissues])
@@ -122,8 +124,10 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     if squared > _WORST_FIT * len(tissues):
         seen = ", ".join(f"{tissue} {regions[tissue].mean_HU:.0f}" for tissue in tissues)
         raise InputError(
-            f"grey values must be Hounsfield units for an internal calibration, got {seen} in {source}, which fit no "
-            "energy: give a phantom's line as line:SLOPE,OFFSET"
+            "grey values",
+            "be Hounsfield units for an internal calibration",
+            f"{seen} in {source}, which fit no energy",
+            "give a phantom's line as line:SLOPE,OFFSET",
         )
     covariance = np.linalg.inv(found.jac.T @ found.jac) * max(squared / chdtri(len(tissues), _CHANCE), 1.0)
     slope, offset = _density_line(found.x)

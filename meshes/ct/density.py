@@ -63,8 +63,10 @@ class DensityLaw:
         slope, both, offset = self.covariance
         if not (slope >= 0.0 and offset >= 0.0 and both * both <= slope * offset * (1.0 + 1e-9)):
             raise InputError(
-                f"covariance must be of two numbers, got variances {slope:g} and {offset:g} with covariance {both:g}: "
-                "use what a regression states, or zeros"
+                "covariance",
+                "be of two numbers",
+                f"variances {slope:g} and {offset:g} with covariance {both:g}",
+                "use what a regression states, or zeros",
             )
 
     def __call__(self, values: NDArray[np.number]) -> Singles:

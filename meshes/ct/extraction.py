@@ -9,8 +9,7 @@ import numpy as np
 from meshes.base.arrays import Array, Flags, Floats, Ints, Singles
 from meshes.base.errors import InputError, counted
 from meshes.base.simplices import enclosed_volume
-from meshes.images.frame import Image
-from meshes.images.part import box_of, part_of
+from meshes.images.frame import Image, box_of, part_of
 from meshes.images.threshold_surface import image_cuts, image_triangles
 
 __all__ = ["BoneOfImage", "Box", "by_label", "by_threshold", "cropped", "filled", "kept_label", "largest_component"]
@@ -127,9 +126,10 @@ def cropped(image: Image, box_mm: Box) -> Image:
         low = origin - 0.5 * spacing
         high = low + spacing * image.values.shape
         raise InputError(
-            f"crop must leave two voxels or more along each axis, got {box_mm[0]} to {box_mm[1]} mm where "
-            f"{image.source} reaches from {np.round(low, 1).tolist()} to {np.round(high, 1).tolist()} mm (LPS): choose "
-            "corners inside"
+            "crop",
+            "leave two voxels or more along each axis",
+            f"{box_mm[0]} to {box_mm[1]} mm where {image.source} reaches from {np.round(low, 1).tolist()} to {np.round(high, 1).tolist()} mm (LPS)",
+            "choose corners inside",
         )
     return part_of(image, tuple(map(slice, first.tolist(), last.tolist())))
 
@@ -202,7 +202,7 @@ def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
 
     pieces, count = label(mask)
     if count == 0:
-        raise InputError(f"threshold must leave bone, got none in {source}: use a lower one, or another crop")
+        raise InputError("threshold", "leave bone", f"none in {source}", "use a lower one, or another crop")
     sizes = np.bincount(pieces.ravel())[1:]
     largest = int(np.argmax(sizes))
     others = np.delete(sizes, largest)
@@ -254,8 +254,10 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
 
     if not mask.any():
         raise InputError(
-            f"keep_clear must be a label within the image and its crop, got {name}, which is not: widen the crop, or "
-            "leave it out"
+            "keep_clear",
+            "be a label within the image and its crop",
+            f"{name}, which is not",
+            "widen the crop, or leave it out",
         )
     box = box_of(mask, KEPT_MARGIN)
     part = part_of(replace(image, values=mask.view(np.uint8)), box)

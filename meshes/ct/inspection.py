@@ -254,7 +254,7 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     share = float(np.count_nonzero(values > LOWEST_HU) / len(values))
     found = f"{share:.0%} of its voxels above {LOWEST_HU:g} HU in {image.source}, median {np.median(values):.0f} HU"
     if share < _NO_BONE:
-        raise InputError(f"region must be a label on bone, got {name} with {found}: {_CAUSES}")
+        raise InputError("region", "be a label on bone", f"{name} with {found}", _CAUSES)
     if share < _LITTLE_BONE:
         return f"warning: most of label {name} is not bone, {found}. If that is not marrow, {_CAUSES}."
     return ""

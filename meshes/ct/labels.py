@@ -59,7 +59,7 @@ class Labels:
             near = [each for each in known if name in each or each in name] or known
             shown = ", ".join(near[:_SHOWN_NAMES])
             more = f" and {len(near) - _SHOWN_NAMES} more" if len(near) > _SHOWN_NAMES else ""
-            raise InputError(f"label must be one that {self.image.source} holds, got {name}: use one of {shown}{more}")
+            raise InputError("label", f"be one that {self.image.source} holds", name, f"use one of {shown}{more}")
         return found[0]
 
     def mask(self, name: str) -> Flags:
@@ -99,19 +99,17 @@ def read_labels(path: str | Path, *, names: str | Path | None = None, spacing_mm
     path = Path(path)
     if is_folder(path):
         if names is not None:
-            raise InputError(
-                f"names must be left out for a folder of masks, whose files name them, got {names}: remove it"
-            )
+            raise InputError("names", "be left out for a folder of masks, whose files name them", names, "remove it")
         return _of_masks(path)
     image = read_image(path, spacing_mm=spacing_mm, labels=True)
     values = _whole(image)
     held = [int(number) for number in np.flatnonzero(np.bincount(values.ravel(), minlength=2)) if number]
     if not held:
-        raise InputError(f"labels must mark something, got 0 everywhere in {image.source}: export the segmentation")
+        raise InputError("labels", "mark something", f"0 everywhere in {image.source}", "export the segmentation")
     stated = _given(names) if names is not None else header_names(path)
     if names is not None and (unknown := [number for number in held if number not in stated]):
         raise InputError(
-            f"names must name every label of {image.source}, got none for {by(unknown[:5])}: add them to {names}"
+            "names", f"name every label of {image.source}", f"none for {by(unknown[:5])}", f"add them to {names}"
         )
     known = {number: stated.get(number, f"label {number}") for number in held}
     return Labels(replace(image, values=values, notes=(*image.notes, *_shared(known, image.source))), known)
@@ -134,7 +132,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     values = affine_transform(one.values, scale, shift, other.values.shape, order=0, mode="constant", cval=0)
     if one.values.any() and not values.any():
         raise InputError(
-            f"labels must lie where the image does, got {one.source} outside {other.source}: give those of this image"
+            "labels", "lie where the image does", f"{one.source} outside {other.source}", "give those of this image"
         )
     note = (
         f"{one.source} has {by(one.values.shape)} voxels of {by(one.spacing_mm, '.4g')} mm: each voxel of "
@@ -150,11 +148,13 @@ def _of_masks(folder: Path) -> Labels:
     masks = sorted(file for file in folder.iterdir() if file.name.lower().endswith((".nii", ".nii.gz", ".nrrd")))
     if not masks:
         raise InputError(
-            f"labels must be a file or a folder of masks, got {folder.name} without .nii.gz or .nrrd files: give the "
-            "folder that TotalSegmentator wrote"
+            "labels",
+            "be a file or a folder of masks",
+            f"{folder.name} without .nii.gz or .nrrd files",
+            "give the folder that TotalSegmentator wrote",
         )
     if len(masks) > _MOST_LABELS:
-        raise InputError(f"labels must be at most {_MOST_LABELS}, got {len(masks)} masks in {folder.name}: remove some")
+        raise InputError("labels", f"be at most {_MOST_LABELS}", f"{len(masks)} masks in {folder.name}", "remove some")
     whole: Image | None = None
     names: dict[int, str] = {}
     notes: list[str] = []
@@ -166,7 +166,7 @@ def _of_masks(folder: Path) -> Labels:
             [*image.spacing_mm, *image.origin_mm], [*whole.spacing_mm, *whole.origin_mm], atol=1e-3
         ):
             raise InputError(
-                f"masks must lie on one grid, got another in {file.name} of {folder.name}: export them together"
+                "masks", "lie on one grid", f"another in {file.name} of {folder.name}", "export them together"
             )
         inside = image.values > 0
         if not inside.any():
@@ -178,7 +178,7 @@ def _of_masks(folder: Path) -> Labels:
         names[number] = name
     assert whole is not None
     if not names:
-        raise InputError(f"labels must mark something, got empty masks only in {folder.name}: export the segmentation")
+        raise InputError("labels", "mark something", f"empty masks only in {folder.name}", "export the segmentation")
     return Labels(replace(whole, notes=(*notes, *_shared(names, folder.name))), names)
 
 
@@ -200,8 +200,10 @@ def _whole(image: Image) -> NDArray[np.integer]:
     high = float(image.values.max())
     if low < 0 or high > _MOST_LABELS or not np.array_equal(image.values, np.rint(image.values)):
         raise InputError(
-            f"labels must be whole numbers from 0 to {_MOST_LABELS}, got {low:g} to {high:g} in {image.source}: give "
-            "the segmentation, not the image"
+            "labels",
+            f"be whole numbers from 0 to {_MOST_LABELS}",
+            f"{low:g} to {high:g} in {image.source}",
+            "give the segmentation, not the image",
         )
     return image.values.astype(np.uint8)
 
@@ -213,24 +215,28 @@ def _given(names: str | Path) -> dict[int, str]:
     file = Path(names)
     if file.suffix != ".toml":
         raise InputError(
-            f"names must be one of {', '.join(label_sets())} or a TOML file, got {names}: write [labels] with a line "
-            "such as cortical = 1"
+            "names",
+            f"be one of {', '.join(label_sets())} or a TOML file",
+            names,
+            "write [labels] with a line such as cortical = 1",
         )
     require_file(file, "names of labels")
     try:
         table = read_toml(file.read_text("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
-        raise InputError(f"names must be readable TOML, got {file.name} which is not: {problem}") from problem
+        raise InputError("names", "be readable TOML", f"{file.name} which is not", str(problem)) from problem
     labels = table.get("labels")
     if set(table) != {"labels"} or not isinstance(labels, dict) or not labels:
         raise InputError(
-            f"names must be in one table [labels], got {', '.join(table) or 'nothing'} in {file.name}: write [labels] "
-            "with a line such as cortical = 1"
+            "names",
+            "be in one table [labels]",
+            f"{', '.join(table) or 'nothing'} in {file.name}",
+            "write [labels] with a line such as cortical = 1",
         )
     names_by_number: dict[int, str] = {}
     for name, number in labels.items():
         if not isinstance(number, int) or isinstance(number, bool) or not 1 <= number <= _MOST_LABELS:
-            raise InputError(f"{name} must be a label from 1 to {_MOST_LABELS}, got {number} in {file.name}: fix it")
+            raise InputError(name, f"be a label from 1 to {_MOST_LABELS}", f"{number} in {file.name}", "fix it")
         other = names_by_number.setdefault(number, name)
         if other != name:
             raise InputError(f"{name} must have a label of its own, got {number} of {other} too in {file.name}")

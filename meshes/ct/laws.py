@@ -75,8 +75,10 @@ def density_law(text: str, image: Image) -> DensityLaw:
         if math.isfinite(slope):
             return phantom_law(slope, offset, equivalent=parts[2] if len(parts) == 3 else "apparent")
     raise InputError(
-        f"density must be internal, {', '.join(DENSITY_LAWS)}, or line:SLOPE,OFFSET in kg/m3 of apparent density "
-        f"(line:SLOPE,OFFSET,K2HPO4 or ,HA of a phantom), got {text!r}: use internal, or line:1.17,-15"
+        "density",
+        f"be internal, {', '.join(DENSITY_LAWS)}, or line:SLOPE,OFFSET in kg/m3 of apparent density (line:SLOPE,OFFSET,K2HPO4 or ,HA of a phantom)",
+        f"{text!r}",
+        "use internal, or line:1.17,-15",
     )
 
 
@@ -108,7 +110,7 @@ def phantom_law(
     offset = require_range("offset", offset_mg_cm3, -2000.0, 2000.0, "use kg/m3 at 0 Hounsfield units, -20 to 110")
     known = {name.lower(): name for name in _TO_ASH}
     if equivalent.lower() not in known:
-        raise InputError(f"equivalent must be one of {', '.join(_TO_ASH)}, got {equivalent!r}: {_KIND}")
+        raise InputError("equivalent", f"be one of {', '.join(_TO_ASH)}", f"{equivalent!r}", _KIND)
     kind = known[equivalent.lower()]
     ash_slope, ash_offset, relative_sd, source = _TO_ASH[kind]
     factor = ash_slope / ASH_SHARE
@@ -151,11 +153,13 @@ def rods_law(
     error = np.ones(len(hu)) if sd_HU is None else np.asarray(sd_HU, dtype=np.float64)
     if not len(density) == len(hu) == len(error) >= 3:
         counts = f"{len(density)} densities, {len(hu)} means and {len(error)} errors"
-        raise InputError(f"rods must be three at least, a density and a mean each, got {counts}: measure more rods")
+        raise InputError("rods", "be three at least, a density and a mean each", counts, "measure more rods")
     if not (np.isfinite([density, hu, error]).all() and (error > 0.0).all() and np.ptp(hu) > 1.0):
         raise InputError(
-            f"rods must have finite densities, means that differ and errors above 0, got means {hu.min():g} to "
-            f"{hu.max():g} HU: measure rods of several densities"
+            "rods",
+            "have finite densities, means that differ and errors above 0",
+            f"means {hu.min():g} to {hu.max():g} HU",
+            "measure rods of several densities",
         )
     (slope, offset), covariance = np.polyfit(hu, density, 1, w=1.0 / error, cov=True)
     away = density - slope * hu - offset

@@ -57,8 +57,10 @@ def image_volume(
     fraction = (values > limit).astype(np.float32)
     if not fraction.any():
         raise InputError(
-            f"anatomy.threshold must leave bone, got {limit:g} where {image.source} holds "
-            f"{values.min():g} to {values.max():g}: use a value between"
+            "anatomy.threshold",
+            "leave bone",
+            f"{limit:g} where {image.source} holds {values.min():g} to {values.max():g}",
+            "use a value between",
         )
     mass = fraction * (
         density_kg_m3(values)
@@ -91,8 +93,10 @@ def _require_size(shape: tuple[int, ...], from_mm: tuple[float, float, float], t
     if count > _MOST_VOXELS:
         fitting = to_mm * (count / _MOST_VOXELS) ** (1.0 / 3.0)
         raise InputError(
-            f"resample_mm must leave at most {_MOST_VOXELS:.0e} voxels, got {to_mm:g} which makes {count:.2g}: crop "
-            f"the image, or use {fitting:.2g} or more"
+            "resample_mm",
+            f"leave at most {_MOST_VOXELS:.0e} voxels",
+            f"{to_mm:g} which makes {count:.2g}",
+            f"crop the image, or use {fitting:.2g} or more",
         )
 
 
@@ -120,11 +124,12 @@ def _averaged(values: NDArray[np.float32], axis: int, ratio: float) -> NDArray[n
     edges = np.arange(math.floor(count / ratio + 1e-6) + 1) * ratio
     if len(edges) < 2:
         raise InputError(
-            f"resample_mm must leave a voxel along every axis, got {ratio:g} voxels of {count}: use a finer one"
+            "resample_mm", "leave a voxel along every axis", f"{ratio:g} voxels of {count}", "use a finer one"
         )
     before = [(1, 0) if k == axis else (0, 0) for k in range(3)]
     running = np.pad(np.cumsum(values, axis=axis, dtype=np.float64), before)
     low = np.minimum(edges.astype(np.int64), count - 1)
     part = (edges - low).reshape([-1 if k == axis else 1 for k in range(3)])
-    below, above = np.take(running, low, axis=axis), np.take(running, low + 1, axis=axis)
+    below = np.take(running, low, axis=axis)
+    above = np.take(running, low + 1, axis=axis)
     return (np.diff(below + (above - below) * part, axis=axis) / ratio).astype(np.float32)

@@ -48,15 +48,16 @@ def read_voxels(
     """
     needed = dtype.itemsize * int(np.prod(shape, dtype=object))
     require_stated(path, needed, by(shape), compressed=compressed)
-    stored, at = np.empty(needed, dtype=np.uint8), 0
+    stored = np.empty(needed, dtype=np.uint8)
+    at = 0
     for piece in _plain(path, start, compressed):
         piece, skip = piece[skip:], max(skip - len(piece), 0)
         if at + len(piece) > needed:
-            raise InputError(_sizes_differ(path, needed, "more"))
+            raise _sizes_differ(path, needed, "more")
         stored[at : at + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
         at += len(piece)
     if at < needed:
-        raise InputError(_sizes_differ(path, needed, str(at)))
+        raise _sizes_differ(path, needed, str(at))
     return stored.view(dtype).reshape(shape, order="F").astype(dtype.newbyteorder("="), copy=False)
 
 
@@ -81,7 +82,7 @@ def require_stated(path: Path, needed: int, shape: str, *, compressed: bool) -> 
     """
     require_regular(path)
     if needed > (_DENSEST if compressed else 1) * path.stat().st_size:
-        raise InputError(_sizes_differ(path, needed, f"a file of {path.stat().st_size}"))
+        raise _sizes_differ(path, needed, f"a file of {path.stat().st_size}")
     require_memory(needed, path.name, f"{shape} voxels")
 
 
@@ -91,9 +92,9 @@ def require_size(path: Path, start: int, needed: int, *, compressed: bool) -> No
     for piece in _plain(path, start, True) if compressed else ():
         found += len(piece)
         if found > needed:
-            raise InputError(_sizes_differ(path, needed, "more"))
+            raise _sizes_differ(path, needed, "more")
     if found != needed:
-        raise InputError(_sizes_differ(path, needed, str(found)))
+        raise _sizes_differ(path, needed, str(found))
 
 
 def scaled(values: NDArray[np.number], slope: float, intercept: float) -> NDArray[np.number]:
@@ -127,7 +128,7 @@ def _plain(path: Path, start: int, compressed: bool) -> Iterator[bytes]:
                 try:
                     yield inflate.decompress(packed, _PIECE)
                 except zlib.error as problem:
-                    raise InputError(_damaged(path)) from problem
+                    raise _damaged(path) from problem
                 packed = inflate.unconsumed_tail
                 if inflate.eof:
                     packed = inflate.unused_data.lstrip(b"\0")  # gzip allows further members, and zeros behind
@@ -135,12 +136,14 @@ def _plain(path: Path, start: int, compressed: bool) -> Iterator[bytes]:
                         break
                     inflate = zlib.decompressobj(_ZLIB_OR_GZIP)
         if not inflate.eof:
-            raise InputError(_damaged(path))
+            raise _damaged(path)
 
 
-def _damaged(path: Path) -> str:
-    return f"file must be whole, got {path.name} whose compressed data are damaged or cut off: export it again"
+def _damaged(path: Path) -> InputError:
+    found = f"{path.name} whose compressed data are damaged or cut off"
+    return InputError("file", "be whole", found, "export it again")
 
 
-def _sizes_differ(path: Path, needed: int, found: str) -> str:
-    return f"file must hold the {needed} bytes of voxels its header states, got {found} in {path.name}: export it again"
+def _sizes_differ(path: Path, needed: int, found: str) -> InputError:
+    requirement = f"hold the {needed} bytes of voxels its header states"
+    return InputError("file", requirement, f"{found} in {path.name}", "export it again")

@@ -16,8 +16,17 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, by
 from meshes.base.file_limits import memory_limit_bytes, require_memory
-from meshes.images.dicom_stack import Slice, stack_step
-from meshes.images.dicom_values import INVERTED, Header, both_ends, number, numbers, replace_padding, upright
+from meshes.images.dicom_stack import (
+    INVERTED,
+    Header,
+    Slice,
+    both_ends,
+    number,
+    numbers,
+    replace_padding,
+    stack_step,
+    upright,
+)
 from meshes.images.frame import StoredImage
 from meshes.images.itk import array_of, itk_reader
 
@@ -46,7 +55,8 @@ _READ = (
     "PixelData",
 )
 _GREY = ("MONOCHROME2", INVERTED)
-_MAGIC, _PREAMBLE = b"DICM", 128
+_MAGIC = b"DICM"
+_PREAMBLE = 128
 _GROUP_LENGTH_BYTES = 12
 _PIECE = 1 << 20
 _UNDEFINED_LENGTH = 0xFFFFFFFF
@@ -65,20 +75,26 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
     files = [file for file in sorted(folder.iterdir()) if _may_be_slice(file)]
     if not files:
         raise InputError(
-            f"file must hold images, got the folder {folder.name} without DICOM files or TIFF slices: "
-            "give the folder that holds the slices"
+            "file",
+            "hold images",
+            f"the folder {folder.name} without DICOM files or TIFF slices",
+            "give the folder that holds the slices",
         )
     places = [f"file {k + 1} of {len(files)} in the order of names in {folder.name}" for k in range(len(files))]
     headers = [_header(file, place) for file, place in zip(files, places, strict=True)]
     if series is not None:
         chosen = _of_series(headers, series, folder)
-        files, places, headers = [files[k] for k in chosen], [places[k] for k in chosen], [headers[k] for k in chosen]
+        files = [files[k] for k in chosen]
+        places = [places[k] for k in chosen]
+        headers = [headers[k] for k in chosen]
     _require_one_series(headers, folder)
     slices = [_slice(header, place) for header, place in zip(headers, places, strict=True)]
     if len({header["PhotometricInterpretation"] for header in headers}) > 1:
         raise InputError(
-            f"slices must all have one photometric interpretation, got {' and '.join(_GREY)} in {folder.name}: export "
-            "the series again"
+            "slices",
+            "all have one photometric interpretation",
+            f"{' and '.join(_GREY)} in {folder.name}",
+            "export the series again",
         )
     size = (*slices[0].size, len(slices))
     most_bytes = max(int(header["BitsAllocated"] or 0) for header in headers) // 8
@@ -86,7 +102,8 @@ def read_dicom(folder: Path, *, series: int | None = None) -> StoredImage:
         sum(int(np.prod(s.size, dtype=object)) for s in slices) * most_bytes, folder.name, f"{by(size)} voxels"
     )
     order, step, notes = stack_step(slices, folder.name)
-    planes, padded = [], 0
+    planes = []
+    padded = 0
     for k in order:
         plane = _pixels(files[k], slices[k])
         padded += replace_padding(plane, headers[k], places[k])
@@ -118,7 +135,7 @@ def _header(file: Path, place: str) -> Header:
     with file.open("rb") as stream:
         head = stream.read(_PREAMBLE + len(_MAGIC))
     if head[_PREAMBLE:] != _MAGIC:
-        raise InputError(f"a DICOM folder must hold DICOM files only, got another kind as {place}: take it out")
+        raise InputError("a DICOM folder", "hold DICOM files only", f"another kind as {place}", "take it out")
     try:
         with warnings.catch_warnings():  # they quote what they complain of
             warnings.simplefilter("ignore")
@@ -137,13 +154,15 @@ def _header(file: Path, place: str) -> Header:
     except InputError:
         raise
     except Exception as problem:  # damaged headers raise many kinds
-        raise InputError(_damaged(place)) from problem
+        raise _damaged(place) from problem
     if compressed != in_parts:
-        raise InputError(_damaged(place))
+        raise _damaged(place)
     if not compressed and found != needed + needed % 2:
         raise InputError(
-            f"a DICOM slice must hold the {needed} bytes of pixels that its header states, got {found} in {place}: "
-            "export the series again"
+            "a DICOM slice",
+            f"hold the {needed} bytes of pixels that its header states",
+            f"{found} in {place}",
+            "export the series again",
         )
     return header
 
@@ -156,7 +175,9 @@ def _require_inflated(file: Path) -> None:
     if meta.TransferSyntaxUID != pydicom.uid.DeflatedExplicitVRLittleEndian:
         return
     start = _PREAMBLE + len(_MAGIC) + _GROUP_LENGTH_BYTES + int(meta.FileMetaInformationGroupLength)
-    limit, found, inflate = memory_limit_bytes(), 0, zlib.decompressobj(-zlib.MAX_WBITS)
+    limit = memory_limit_bytes()
+    found = 0
+    inflate = zlib.decompressobj(-zlib.MAX_WBITS)
     packed = file.read_bytes()[start:]
     while packed and not inflate.eof and found <= limit:
         found += len(inflate.decompress(packed, _PIECE))
@@ -164,8 +185,8 @@ def _require_inflated(file: Path) -> None:
     require_memory(found, file.parent.name, "a deflated slice")
 
 
-def _damaged(place: str) -> str:
-    return f"a DICOM slice must be whole and readable, got a damaged one, {place}: export the series again"
+def _damaged(place: str) -> InputError:
+    return InputError("a DICOM slice", "be whole and readable", f"a damaged one, {place}", "export the series again")
 
 
 def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
@@ -173,8 +194,10 @@ def _require_one_series(headers: Sequence[Header], folder: Path) -> None:
     found = Counter((str(header["SeriesInstanceUID"]), _whole(header)) for header in headers)
     if len(found) > 1:
         raise InputError(
-            f"a DICOM folder must hold one series, got {len(found)} in {folder.name} ({_named(headers)}): "
-            "give each a folder of its own, or let `tissue import --series NUMBER` take one"
+            "a DICOM folder",
+            "hold one series",
+            f"{len(found)} in {folder.name} ({_named(headers)})",
+            "give each a folder of its own, or let `tissue import --series NUMBER` take one",
         )
 
 
@@ -188,7 +211,7 @@ def _of_series(headers: Sequence[Header], number: int, folder: Path) -> list[int
     """Which files belong to the series of a number."""
     chosen = [k for k, header in enumerate(headers) if _whole(header) == str(number)]
     if not chosen:
-        raise InputError(f"series must be one that {folder.name} holds, got {number}: it holds {_named(headers)}")
+        raise InputError("series", f"be one that {folder.name} holds", number, f"it holds {_named(headers)}")
     return chosen
 
 
@@ -205,12 +228,14 @@ def _slice(header: Header, place: str) -> Slice:
     """Place and size of a slice."""
     if int(header["NumberOfFrames"] or 1) != 1:
         raise InputError(
-            f"a DICOM slice must hold one frame, got several in {place}: export one file a slice, or as .nrrd"
+            "a DICOM slice", "hold one frame", f"several in {place}", "export one file a slice, or as .nrrd"
         )
     if header["PhotometricInterpretation"] not in _GREY or header["SamplesPerPixel"] != 1:
         raise InputError(
-            f"a DICOM slice must hold grey values (MONOCHROME2 or MONOCHROME1), got other values in {place}: take it "
-            "out, or export grey values"
+            "a DICOM slice",
+            "hold grey values (MONOCHROME2 or MONOCHROME1)",
+            f"other values in {place}",
+            "take it out, or export grey values",
         )
     both = numbers(header, "ImageOrientationPatient", 6, place)
     down, along = numbers(header, "PixelSpacing", 2, place).tolist()
@@ -230,7 +255,7 @@ def _pixels(file: Path, stated: Slice) -> NDArray[np.number]:
     try:
         plane = array_of(itk_reader(file, "GDCMImageIO").Execute())
     except (RuntimeError, MemoryError) as problem:
-        raise InputError(_damaged(stated.place)) from problem
+        raise _damaged(stated.place) from problem
     if plane.shape != (*stated.size, 1):
-        raise InputError(_damaged(stated.place))
+        raise _damaged(stated.place)
     return plane.T

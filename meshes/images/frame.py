@@ -4,7 +4,7 @@ LPS is the frame of DICOM and ITK: +x towards the patient's left, +y towards the
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import TypeVar
 
@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, by, in_brackets
 
-__all__ = ["Image", "StoredImage", "along_lps"]
+__all__ = ["Image", "StoredImage", "along_lps", "box_of", "part_of"]
 
 Kind = TypeVar("Kind", bound=np.generic)
-
 _FARTHEST_VOXELS = 0.01
 _FLATTEST = 1e-3
 _LARGEST_MM = 10_000.0
@@ -116,12 +115,15 @@ def _resampled(stored: StoredImage, source: str, labels: bool) -> Image:
     shape = np.array(stored.values.shape)
     corners = np.stack(np.meshgrid(*[(0, n - 1) for n in shape], indexing="ij"), axis=-1).reshape(-1, 3)
     points = corners @ steps.T + stored.origin_mm
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     count = np.ceil((high - low) / spacing - 1e-6).astype(int) + 1
     if math.prod(count.tolist()) > _MOST_VOXELS:
         raise InputError(
-            f"an image along oblique axes must leave at most {_MOST_VOXELS:.0e} voxels once resampled, got "
-            f"{math.prod(count.tolist()):.2g} in {source}: crop it, or resample it coarser along the patient's axes"
+            "an image along oblique axes",
+            f"leave at most {_MOST_VOXELS:.0e} voxels once resampled",
+            f"{math.prod(count.tolist()):.2g} in {source}",
+            "crop it, or resample it coarser along the patient's axes",
         )
     at = inverse * spacing, inverse @ (low - stored.origin_mm), tuple(count.tolist())
     values = _sampled(stored.values, *at, order=0) if labels else _interpolated(stored.values.astype(np.float32), *at)
@@ -180,21 +182,40 @@ def _require_frame(stored: StoredImage, source: str) -> None:
     spacing = np.array(stored.spacing_mm)
     if not (np.isfinite(spacing).all() and (spacing >= _SMALLEST_MM).all() and (spacing <= _LARGEST_MM).all()):
         raise InputError(
-            f"spacing must be in [{_SMALLEST_MM:g}, {_LARGEST_MM:g}] mm, got {by(spacing)} "
-            f"in {source}: mend the header, or set anatomy.spacing_mm"
+            "spacing",
+            f"be in [{_SMALLEST_MM:g}, {_LARGEST_MM:g}] mm",
+            f"{by(spacing)} in {source}",
+            "fix the header, or give the spacing",
         )
     if not (np.isfinite(stored.origin_mm).all() and (np.abs(stored.origin_mm) <= _FARTHEST_ORIGIN_MM).all()):
         raise InputError(
-            f"the origin must be finite and within {_FARTHEST_ORIGIN_MM:g} mm, got "
-            f"{in_brackets(stored.origin_mm)} in {source}: mend the header"
+            "the origin",
+            f"be finite and within {_FARTHEST_ORIGIN_MM:g} mm",
+            f"{in_brackets(stored.origin_mm)} in {source}",
+            "mend the header",
         )
     lengths = np.linalg.norm(stored.directions, axis=0)
     if not np.allclose(lengths, 1.0, rtol=0.0, atol=_FLATTEST):
-        raise InputError(f"directions must be of length 1, got {by(lengths)} in {source}: mend the header")
+        raise InputError("directions", "be of length 1", f"{by(lengths)} in {source}", "mend the header")
     if not abs(float(np.linalg.det(stored.directions))) >= _FLATTEST:
-        raise InputError(f"the axes must span space, got directions in one plane in {source}: mend the header")
+        raise InputError("the axes", "span space", f"directions in one plane in {source}", "mend the header")
 
 
 def _triple(numbers: NDArray[np.float64]) -> tuple[float, float, float]:
     x, y, z = (float(number) + 0.0 for number in numbers)  # no minus before a zero
     return x, y, z
+
+
+def box_of(mask: NDArray[np.bool_], margin: int = 0) -> tuple[slice, ...]:
+    """Slices that hold all of a mask that is not empty, and so many voxels around as there are."""
+    found = []
+    for axis, count in enumerate(mask.shape):
+        along = np.flatnonzero(mask.any(axis=tuple(k for k in range(mask.ndim) if k != axis)))
+        found.append(slice(max(int(along[0]) - margin, 0), min(int(along[-1]) + 1 + margin, count)))
+    return tuple(found)
+
+
+def part_of(image: Image, box: tuple[slice, ...]) -> Image:
+    """The image within slices that have a start each, its origin moved along."""
+    x, y, z = (o + s * each.start for o, s, each in zip(image.origin_mm, image.spacing_mm, box, strict=True))
+    return replace(image, values=np.ascontiguousarray(image.values[box]), origin_mm=(x, y, z))

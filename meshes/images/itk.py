@@ -50,7 +50,7 @@ def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str],
         if not found:
             fields.setdefault("first", line)
         elif key in fields:
-            raise InputError(f"a header must state every key once, got {_short(key)} twice in {path.name}: mend it")
+            raise InputError("a header", "state every key once", f"{_short(key)} twice in {path.name}", "mend it")
         elif not key.startswith("#"):
             fields[key] = value.strip()
         if key == last:
@@ -73,9 +73,9 @@ def numbers(fields: Mapping[str, str], key: str, path: Path, *, positive: bool =
     except ValueError:
         found = [np.nan]
     if not np.isfinite(found).all():
-        raise InputError(f"{key} must be finite numbers, got {_short(fields[key])} in {path.name}: mend the header")
+        raise InputError(key, "be finite numbers", f"{_short(fields[key])} in {path.name}", "mend the header")
     if positive and min(found, default=0.0) <= 0.0:
-        raise InputError(f"{key} must be above 0, got {_short(fields[key])} in {path.name}: mend the header")
+        raise InputError(key, "be above 0", f"{_short(fields[key])} in {path.name}", "mend the header")
     return found
 
 
@@ -84,8 +84,10 @@ def length_unit_mm(words: Sequence[str], path: Path) -> float:
     units = {word.strip('"').lower() for word in words}
     if not units <= set(_UNITS_MM) or len({_UNITS_MM[unit] for unit in units}) > 1:
         raise InputError(
-            f"the unit of the axes must be mm, um, cm or m, got {', '.join(sorted(_short(u) for u in units))} in "
-            f"{path.name}: export it in mm"
+            "the unit of the axes",
+            "be mm, um, cm or m",
+            f"{', '.join(sorted(_short(u) for u in units))} in {path.name}",
+            "export it in mm",
         )
     return _UNITS_MM[units.pop()] if units else 1.0
 
@@ -97,16 +99,19 @@ def read_by_itk(path: Path, reader_name: str, *, unit_mm: float, notes: tuple[st
     reader = itk_reader(path, reader_name)
     try:
         reader.ReadImageInformation()
-        size, kind = reader.GetSize(), SimpleITK.GetPixelIDValueAsString(reader.GetPixelID())
+        size = reader.GetSize()
+        kind = SimpleITK.GetPixelIDValueAsString(reader.GetPixelID())
         if len(size) != 3 or reader.GetNumberOfComponents() != 1 or "complex" in kind or 0 in size:
             raise InputError(
-                f"file must hold one number per voxel on three axes, got {by(size)} of {kind} in {path.name}: export "
-                "one of its volumes"
+                "file",
+                "hold one number per voxel on three axes",
+                f"{by(size)} of {kind} in {path.name}",
+                "export one of its volumes",
             )
         image = reader.Execute()
     except (RuntimeError, MemoryError, OverflowError, UnicodeError) as problem:
         raise InputError(
-            f"file must be a readable image volume, got {path.name} whose header and voxels do not fit: export it again"
+            "file", "be a readable image volume", f"{path.name} whose header and voxels do not fit", "export it again"
         ) from problem
     x, y, z = (unit_mm * s for s in image.GetSpacing())
     directions = np.array(image.GetDirection(), dtype=np.float64).reshape(3, 3)

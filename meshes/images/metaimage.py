@@ -38,19 +38,23 @@ def read_metaimage(path: Path) -> StoredImage:
     """
     fields, start = header_lines(path, "=", "elementdatafile")
     if "ndims" not in fields or "elementdatafile" not in fields:
-        raise InputError(f"file must be a MetaImage, got {path.name} which lacks the lines of one: export it again")
+        raise InputError("file", "be a MetaImage", f"{path.name} which lacks the lines of one", "export it again")
     if fields["ndims"] != "3" or fields.get("elementnumberofchannels", "1") != "1":
         raise InputError(
-            f"file must hold one number per voxel on three axes, got NDims {fields['ndims']} and "
-            f"{fields.get('elementnumberofchannels', '1')} channels in {path.name}: export one of its volumes"
+            "file",
+            "hold one number per voxel on three axes",
+            f"NDims {fields['ndims']} and {fields.get('elementnumberofchannels', '1')} channels in {path.name}",
+            "export one of its volumes",
         )
     values = _voxels(fields, path, start)
     notes = []
     if not any(key in fields for key in _DIRECTIONS):
         if fields.get("anatomicalorientation", "???") not in _ALONG_LPS:
             raise InputError(
-                f"directions must be given as TransformMatrix, got AnatomicalOrientation alone in {path.name}: export "
-                "it again"
+                "directions",
+                "be given as TransformMatrix",
+                f"AnatomicalOrientation alone in {path.name}",
+                "export it again",
             )
         notes.append(f"{path.name} states no directions: its axes are taken as left, back and head.")
     unit = length_unit_mm(fields.get("distanceunits", "").split(), path)
@@ -71,7 +75,7 @@ def _stated(
     if found is None:
         return absent.tolist()
     if len(found) != len(absent):
-        raise InputError(f"{key} must be {len(absent)} numbers, got {len(found)} in {path.name}: mend the header")
+        raise InputError(key, f"be {len(absent)} numbers", f"{len(found)} in {path.name}", "mend the header")
     return found
 
 
@@ -82,16 +86,18 @@ def _voxels(fields: dict[str, str], path: Path, start: int) -> NDArray[np.number
     data = path if local else path.parent / name
     if not data.is_file():
         raise InputError(
-            f"the voxels of {path.name} must lie in one file next to it, got {name}, which is not there: copy it there"
+            f"the voxels of {path.name}", "lie in one file next to it", f"{name}, which is not there", "copy it there"
         )
     if not _is_true(fields, "binarydata", "True"):
-        raise InputError(f"BinaryData must be True, got {fields.get('binarydata')} in {path.name}: export it binary")
+        raise InputError("BinaryData", "be True", f"{fields.get('binarydata')} in {path.name}", "export it binary")
     size = numbers(fields, "dimsize", path) or []
     kind = fields.get("elementtype", "").removeprefix("MET_")
     if len(size) != 3 or any(n < 1 or n != int(n) for n in size) or kind not in _TYPES:
         raise InputError(
-            f"DimSize must be three counts and ElementType one real number, got {fields.get('dimsize')} and "
-            f"{fields.get('elementtype')} in {path.name}: export it again"
+            "DimSize",
+            "be three counts and ElementType one real number",
+            f"{fields.get('dimsize')} and {fields.get('elementtype')} in {path.name}",
+            "export it again",
         )
     most_significant_first = any(_is_true(fields, key, "False") for key in _BYTE_ORDERS)
     dtype = np.dtype((">" if most_significant_first else "<") + _TYPES[kind])
@@ -101,7 +107,7 @@ def _voxels(fields: dict[str, str], path: Path, start: int) -> NDArray[np.number
     if skipped == -1:  # the voxels end the file
         first = max(data.stat().st_size - dtype.itemsize * math.prod(shape), 0)
     if first < 0:
-        raise InputError(f"HeaderSize must be -1 or more, got {skipped} in {path.name}: export it again")
+        raise InputError("HeaderSize", "be -1 or more", f"{skipped} in {path.name}", "export it again")
     return read_voxels(data, dtype, shape, start=first, compressed=_is_true(fields, "compresseddata", "False"))
 
 

@@ -41,13 +41,13 @@ def read_nifti(path: Path) -> StoredImage:
     offset = float(header["vox_offset"])
     length = int(header["sizeof_hdr"])
     if not (offset >= length + 4 and offset == int(offset)):
-        raise InputError(_header_fault(path, f"vox_offset must be at least {length + 4}", offset))
+        raise _header_fault(path, "vox_offset", f"be at least {length + 4}", offset)
     values = read_voxels(path, dtype, shape, skip=int(offset), compressed=is_gzip(path))
     notes: list[str] = []
     affine = _affine(header, path, notes)
     unit = int(header["xyzt_units"]) & 7
     if unit not in _UNITS_MM:
-        raise InputError(_header_fault(path, "xyzt_units must be 1 (m), 2 (mm) or 3 (µm)", unit))
+        raise _header_fault(path, "xyzt_units", "be 1 (m), 2 (mm) or 3 (µm)", unit)
     if unit == 0:
         notes.append(f"{path.name} states no unit of length: taken as mm.")
     affine = affine[:3] * _UNITS_MM[unit] * _TO_LPS[:, None]
@@ -66,7 +66,8 @@ def _header(path: Path) -> Header:
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
-    first, header = first_bytes(path, 540), None
+    first = first_bytes(path, 540)
+    header = None
     kind = Nifti2Header if first[:4] in (b"\x1c\x02\0\0", b"\0\0\x02\x1c") else Nifti1Header
     with suppress(HeaderDataError, WrapStructError, ValueError):
         header = kind.from_fileobj(BytesIO(first[: kind.sizeof_hdr]), check=False)
@@ -75,24 +76,24 @@ def _header(path: Path) -> Header:
         or bytes(header["magic"].item())[:3] not in _SINGLE_FILE
         or int(header["sizeof_hdr"]) not in (348, 540)
     ):
-        raise InputError(
-            f"file must be a NIfTI image, got {path.name} which does not start as one does: export it again"
-        )
+        raise InputError("file", "be a NIfTI image", f"{path.name} which does not start as one does", "export it again")
     return header
 
 
-def _header_fault(path: Path, requirement: str, found: object) -> str:
-    return f"{requirement} in the header of a NIfTI image, got {found} in {path.name}: export it again"
+def _header_fault(path: Path, field: str, requirement: str, found: object) -> InputError:
+    return InputError(f"{field} in the header", requirement, f"{found} in {path.name}", "export it again")
 
 
 def _shape(header: Header, path: Path) -> tuple[int, int, int]:
     dim = [int(n) for n in header["dim"]]
     if not 3 <= dim[0] <= 7 or any(n < 1 for n in dim[1 : dim[0] + 1]):
-        raise InputError(_header_fault(path, "dim must count three or more axes with no zero", dim))
+        raise _header_fault(path, "dim", "count three or more axes with no zero", dim)
     if any(n != 1 for n in dim[4 : dim[0] + 1]):
         raise InputError(
-            f"file must hold one image of three axes, got {by(dim[1 : dim[0] + 1])} in {path.name}: export one of its "
-            "volumes"
+            "file",
+            "hold one image of three axes",
+            f"{by(dim[1 : dim[0] + 1])} in {path.name}",
+            "export one of its volumes",
         )
     return dim[1], dim[2], dim[3]
 
@@ -103,11 +104,11 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
     try:
         dtype: np.dtype[np.number] = np.dtype(header.get_data_dtype())
     except (HeaderDataError, KeyError) as problem:
-        raise InputError(_header_fault(path, "datatype must be known", int(header["datatype"]))) from problem
+        raise _header_fault(path, "datatype", "be known", int(header["datatype"])) from problem
     if dtype.kind not in "iuf" or dtype.itemsize > 8 or dtype.itemsize == 0:
-        raise InputError(f"file must hold one real number per voxel, got {dtype} in {path.name}: export grey values")
+        raise InputError("file", "hold one real number per voxel", f"{dtype} in {path.name}", "export grey values")
     if int(header["bitpix"]) != 8 * dtype.itemsize:
-        raise InputError(_header_fault(path, f"bitpix must be that of {dtype}", int(header["bitpix"])))
+        raise _header_fault(path, "bitpix", f"be that of {dtype}", int(header["bitpix"]))
     return dtype
 
 
@@ -117,14 +118,14 @@ def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]
 
     spacing = np.array(header["pixdim"][1:4], dtype=np.float64)
     if not (np.isfinite(spacing).all() and (spacing > 0.0).all()):
-        raise InputError(_header_fault(path, "pixdim must be positive", by(spacing)))
+        raise _header_fault(path, "pixdim", "be positive", by(spacing))
     sform = header.get_sform() if int(header["sform_code"]) > 0 else None
     qform = None
     if int(header["qform_code"]) > 0:
         try:
             qform = header.get_qform()
         except (HeaderDataError, ValueError) as problem:
-            raise InputError(_header_fault(path, "the quaternion must have a norm of 1", "another")) from problem
+            raise _header_fault(path, "the quaternion", "have a norm of 1", "another") from problem
     if sform is None and qform is None:
         notes.append(f"{path.name} states no place or directions: its axes are taken as left, back and head.")
         return np.diag([*(spacing * _TO_LPS), 1.0])
@@ -133,8 +134,10 @@ def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]
     stated = np.linalg.norm(sform[:3, :3], axis=0)
     if not np.allclose(stated, spacing, rtol=_AGREE, atol=0.0):
         raise InputError(
-            f"pixdim and sform must state the same spacing, got {by(spacing)} and {by(stated)} in {path.name}: "
-            "mend the header"
+            "pixdim and sform",
+            "state the same spacing",
+            f"{by(spacing)} and {by(stated)} in {path.name}",
+            "mend the header",
         )
     if qform is not None:
         corner = np.array([*(int(n) for n in header["dim"][1:4]), 0.0])
@@ -146,9 +149,10 @@ def _affine(header: Header, path: Path, notes: list[str]) -> NDArray[np.float64]
 
 def _scaled(values: NDArray[np.number], header: Header, path: Path) -> NDArray[np.number]:
     """Values times slope plus intercept; a slope of 0 or NaN stands for none."""
-    slope, intercept = float(header["scl_slope"]), float(header["scl_inter"])
+    slope = float(header["scl_slope"])
+    intercept = float(header["scl_inter"])
     if slope == 0.0 or (np.isnan(slope) and (np.isnan(intercept) or intercept == 0.0)):
         return values
     if not (np.isfinite(slope) and np.isfinite(intercept)):
-        raise InputError(_header_fault(path, "scl_slope and scl_inter must be finite", f"{slope:g} and {intercept:g}"))
+        raise _header_fault(path, "scl_slope and scl_inter", "be finite", f"{slope:g} and {intercept:g}")
     return scaled(values, slope, intercept)

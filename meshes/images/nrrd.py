@@ -45,19 +45,19 @@ def read_nrrd(path: Path) -> StoredImage:
     """
     fields, start = header_lines(path, ":", "")
     if not fields.get("first", "").startswith("NRRD"):
-        raise InputError(
-            f"file must be a NRRD image, got {path.name} which does not start as one does: export it again"
-        )
+        raise InputError("file", "be a NRRD image", f"{path.name} which does not start as one does", "export it again")
     kinds = fields.get("kinds", "").lower()
     if fields.get("dimension") != "3" or any(kind not in _IN_SPACE for kind in kinds.split()):
         raise InputError(
-            f"file must hold one number per voxel on three axes in space, got dimension {fields.get('dimension')!r} "
-            f"and kinds {kinds!r} in {path.name}: export one of its volumes"
+            "file",
+            "hold one number per voxel on three axes in space",
+            f"dimension {fields.get('dimension')!r} and kinds {kinds!r} in {path.name}",
+            "export one of its volumes",
         )
     held = next((key for key in _SCALED if key in fields), None)
     if held is not None:
         raise InputError(
-            f"a NRRD image must hold its values unscaled, got the key {held} in {path.name}: export it again"
+            "a NRRD image", "hold its values unscaled", f"the key {held} in {path.name}", "export it again"
         )
     for key in ("space directions", "space origin", "axis mins"):
         numbers(fields, key, path)
@@ -67,7 +67,7 @@ def read_nrrd(path: Path) -> StoredImage:
     needed = _require_data(fields, path, start)
     stored = read_by_itk(path, "NrrdImageIO", unit_mm=unit, notes=notes)
     if stored.values.nbytes != needed:
-        raise InputError(f"file must hold the voxels its header states, got others in {path.name}: export it again")
+        raise InputError("file", "hold the voxels its header states", f"others in {path.name}", "export it again")
     return stored
 
 
@@ -78,7 +78,7 @@ def _notes(fields: dict[str, str], path: Path) -> tuple[str, ...]:
         return (f"{path.name} states no frame of a patient: its axes are taken as left, back and head.",)
     if space not in _PATIENT:
         raise InputError(
-            f"space must be one of {', '.join(_PATIENT[:3])}, got {space!r} in {path.name}: export it in one"
+            "space", f"be one of {', '.join(_PATIENT[:3])}", f"{space!r} in {path.name}", "export it in one"
         )
     return ()
 
@@ -89,8 +89,10 @@ def _stated_bytes(fields: dict[str, str], path: Path) -> tuple[int, str]:
     kind = fields.get("type", "").lower().removeprefix("signed ")
     if len(sizes) != 3 or any(size != int(size) for size in sizes) or kind not in _BYTES:
         raise InputError(
-            f"sizes must be three whole numbers and type one real number, got {fields.get('sizes', 'nothing')} and "
-            f"{fields.get('type', 'nothing')} in {path.name}: export it again"
+            "sizes",
+            "be three whole numbers and type one real number",
+            f"{fields.get('sizes', 'nothing')} and {fields.get('type', 'nothing')} in {path.name}",
+            "export it again",
         )
     return _BYTES[kind] * prod(int(size) for size in sizes), by(sizes)
 
@@ -104,7 +106,7 @@ def _data_files(fields: dict[str, str], path: Path) -> list[Path]:
     if pattern is not None:
         first, last, step = (int(number) for number in pattern.groups()[1:])
         if step == 0 or not 0 <= (last - first) // step < _MOST_FILES:
-            raise InputError(f"data file must count files, got {name[:60]} in {path.name}: export it again")
+            raise InputError("data file", "count files", f"{name[:60]} in {path.name}", "export it again")
         names = [pattern[1] % number for number in range(first, last + (1 if step > 0 else -1), step)]
     elif name.split()[:1] == ["LIST"]:
         with path.open("rb") as stream:
@@ -128,15 +130,19 @@ def _require_data(fields: dict[str, str], path: Path, start: int) -> int:
     missing = next((file for file in files if not file.is_file()), None)
     if missing is not None:
         raise InputError(
-            f"the voxels of {path.name} must lie in the files it names, got {missing.name[:60]}, which is not there: "
-            "copy it there"
+            f"the voxels of {path.name}",
+            "lie in the files it names",
+            f"{missing.name[:60]}, which is not there",
+            "copy it there",
         )
     encoding = fields.get("encoding", "").lower()
     held = sum(file.stat().st_size for file in files)
     if needed > _MOST_PER_BYTE.get(encoding, 0) * held:
         raise InputError(
-            f"file must hold the {needed} bytes of voxels its header states, got {held} bytes of encoding "
-            f"{encoding[:20] or 'none'} in {path.name}: export it again"
+            "file",
+            f"hold the {needed} bytes of voxels its header states",
+            f"{held} bytes of encoding {encoding[:20] or 'none'} in {path.name}",
+            "export it again",
         )
     require_memory(needed, path.name, f"{shape} voxels")
     skips = any(

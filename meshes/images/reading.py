@@ -6,15 +6,61 @@ from pathlib import Path
 import numpy as np
 
 from meshes.base.errors import InputError, by, is_file, is_folder, require_positive
+from meshes.base.isolated_parser import Answer, parse_isolated
 from meshes.images.dicom import read_dicom
 from meshes.images.frame import Image, StoredImage, along_lps
 from meshes.images.metaimage import read_metaimage
 from meshes.images.nifti import read_nifti
 from meshes.images.nrrd import read_nrrd
 from meshes.images.tiff import read_tiff_slices, tiff_slices
-from meshes.images.vtk import read_vtk_image
 
-__all__ = ["Image", "read_image", "require_image_name"]
+__all__ = ["Image", "read_image", "require_image_name", "vtk_voxels"]
+
+
+def read_vtk_image(path: Path) -> StoredImage:
+    """Read the active array of a `.vti` image; VTK names no frame of a patient, so its axes are taken as LPS."""
+    facts, arrays = parse_isolated(
+        "meshes.images.reading:vtk_voxels", path, what="image volume", remedy="export it again"
+    )
+    values = arrays["values"]
+    frame = arrays["frame"].astype(np.float64)
+    x, y, z = frame[3].tolist()
+    return StoredImage(values.reshape(facts["shape"], order="F"), (x, y, z), frame[:3], frame[4])
+
+
+def vtk_voxels(file: Path) -> Answer:
+    """Array of an image file, first index fastest, with its shape, and the rows of its frame: directions
+    (three), spacing, and the centre of the first voxel.
+
+    Raises
+    ------
+    InputError
+        If it holds no image of one number a voxel.
+    """
+    import pyvista
+
+    from meshes.surfaces.vtk_reading import read_vtk
+
+    data = read_vtk(file)
+    if not isinstance(data, pyvista.ImageData) or not data.array_names:
+        raise InputError(
+            "file", "hold an image volume", f"{type(data).__name__} without voxels in {file.name}", "export it again"
+        )
+    name = data.active_scalars_name or data.array_names[0]
+    by_cell = name in data.cell_data
+    shape = [n - 1 if by_cell else n for n in data.dimensions]
+    values = np.asarray(data.cell_data[name] if by_cell else data.point_data[name])
+    if values.ndim != 1 or 0 in shape or values.size != int(np.prod(shape)):
+        raise InputError(
+            "file",
+            "hold one number per voxel",
+            f"an array of shape {values.shape} in {file.name}",
+            "export grey values",
+        )
+    directions = np.asarray(data.direction_matrix, dtype=np.float64)
+    origin = np.array(data.GetPoint(0)) + (0.5 * directions @ data.spacing if by_cell else 0.0)
+    return {"shape": shape}, {"values": values, "frame": np.stack([*directions, data.spacing, origin])}
+
 
 _READERS = {
     ".nii": read_nifti,
@@ -58,11 +104,14 @@ def read_image(
         None if spacing_mm is None else require_positive("anatomy.spacing_mm", spacing_mm, "use the scanner's value")
     )
     path = Path(path)
-    slices, source = tiff_slices(path), path.name
+    slices = tiff_slices(path)
+    source = path.name
     if slices and given is None:
         raise InputError(
-            f"anatomy.spacing_mm must be given for TIFF slices, which do not hold it, got none for "
-            f"{source}: use the scanner's value, for example 0.0195"
+            "anatomy.spacing_mm",
+            "be given for TIFF slices, which do not hold it",
+            f"none for {source}",
+            "use the scanner's value, for example 0.0195",
         )
     stored = read_tiff_slices(slices, given, labels=labels) if slices and given is not None else _stored(path, series)
     if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
@@ -73,14 +122,10 @@ def read_image(
         stored = replace(stored, spacing_mm=(given,) * 3, notes=(*stored.notes, note))
     values = stored.values
     if values.ndim != 3 or values.size == 0 or not np.issubdtype(values.dtype, np.number):
-        raise InputError(
-            f"file must hold one number per voxel, got an array of shape {values.shape} in {source}: {_REMEDY}"
-        )
+        raise InputError("file", "hold one number per voxel", f"an array of shape {values.shape} in {source}", _REMEDY)
     if np.issubdtype(values.dtype, np.floating) and not np.isfinite(values).all():
         count = int((~np.isfinite(values)).sum())
-        raise InputError(
-            f"voxels must be finite, got {count} of {values.size} that are not in {source}: mask them first"
-        )
+        raise InputError("voxels", "be finite", f"{count} of {values.size} that are not in {source}", "mask them first")
     return along_lps(stored, source, labels=labels)
 
 
@@ -89,7 +134,7 @@ def _stored(path: Path, series: int | None) -> StoredImage:
     if is_folder(path):
         return read_dicom(path, series=series)
     if series is not None:
-        raise InputError(f"series must be left out for a file, got {series} for {path.name}: it holds one image")
+        raise InputError("series", "be left out for a file", f"{series} for {path.name}", "it holds one image")
     require_image_name(path)
     return next(read for suffix, read in _READERS.items() if path.name.lower().endswith(suffix))(path)
 
@@ -104,4 +149,4 @@ def require_image_name(path: Path) -> None:
     """
     known = (*_READERS, ".tif", ".tiff")
     if is_file(path) and not path.name.lower().endswith(known):
-        raise InputError(f"file must be an image volume of a known format, got {path.name}: {_REMEDY}")
+        raise InputError("file", "be an image volume of a known format", path.name, _REMEDY)

@@ -22,8 +22,10 @@ def image_triangles(image: Image, *, threshold: float) -> tuple[NDArray[np.float
     values = image.values.astype(np.float32)
     if not values.max() > threshold:
         raise InputError(
-            f"anatomy.threshold must leave bone, got {threshold:g} where {image.source} holds "
-            f"{values.min():g} to {values.max():g}: use a value between"
+            "anatomy.threshold",
+            "leave bone",
+            f"{threshold:g} where {image.source} holds {values.min():g} to {values.max():g}",
+            "use a value between",
         )
     outside = min(float(values.min()), 2.0 * threshold - float(values.max()))
     padded = np.pad(values, 1, constant_values=outside)

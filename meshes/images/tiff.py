@@ -21,7 +21,9 @@ __all__ = ["read_tiff_slices", "tiff_slices"]
 SUFFIXES = (".tif", ".tiff")
 _PATTERN_MARKS = "*?["
 _COLOUR_AXES = "SC"
-_MIN_IS_WHITE, _RGB, _PALETTE = 0, 2, 3
+_MIN_IS_WHITE = 0
+_RGB = 2
+_PALETTE = 3
 _UNCOMPRESSED = 1
 
 
@@ -73,10 +75,10 @@ def tiff_slices(path: Path) -> list[Path]:
     if any(mark in path.name for mark in _PATTERN_MARKS):
         found = [file for file in path.parent.glob(path.name) if file.is_file()]
         if not found:
-            raise InputError(f"file must exist, got {path}, which matches nothing: check the folder and the pattern")
+            raise InputError("file", "exist", f"{path}, which matches nothing", "check the folder and the pattern")
         other = next((file for file in found if file.suffix.lower() not in SUFFIXES), None)
         if other is not None:
-            raise InputError(f"a pattern must match TIFF slices only, got {other.name}: write for example *.tif")
+            raise InputError("a pattern", "match TIFF slices only", other.name, "write for example *.tif")
     elif is_folder(path):
         found = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
         found = [file for file in found if not file.name.startswith(".")]
@@ -103,13 +105,17 @@ def read_tiff_slices(files: Sequence[Path], spacing_mm: float, *, labels: bool =
     for file, other in zip(files, planes, strict=True):
         if other.shape[1:] != first.shape[1:]:
             raise InputError(
-                f"slices must all have the same size, got {by(other.shape[:0:-1])} in {file.name} "
-                f"after {by(first.shape[:0:-1])}: keep other images out of the folder"
+                "slices",
+                "all have the same size",
+                f"{by(other.shape[:0:-1])} in {file.name} after {by(first.shape[:0:-1])}",
+                "keep other images out of the folder",
             )
         if (other.photometric, other.bits, other.dtype) != (first.photometric, first.bits, first.dtype):
             raise InputError(
-                f"slices must all have the same type of values, got another in {file.name} than in {files[0].name}: "
-                "export all slices in one way"
+                "slices",
+                "all have the same type of values",
+                f"another in {file.name} than in {files[0].name}",
+                "export all slices in one way",
             )
     count = sum(other.shape[0] for other in planes)
     where = files[0].name if len(files) == 1 else files[0].parent.name
@@ -145,26 +151,30 @@ def _require_numbered(files: Sequence[Path], path: Path) -> None:
     other = next((file for file, text in zip(files, texts, strict=True) if text != usual), None)
     if other is not None:
         raise InputError(
-            f"slices must be named alike, got {other.name} among names such as {files[texts.index(usual)].name} in "
-            f"{path.name}: move it out of the folder, or give a pattern that leaves it out"
+            "slices",
+            "be named alike",
+            f"{other.name} among names such as {files[texts.index(usual)].name} in {path.name}",
+            "move it out of the folder, or give a pattern that leaves it out",
         )
     numbers = np.array([[int(part) for part in re.findall(r"\d+", file.stem)] for file in files], dtype=object)
     varying = [k for k in range(numbers.shape[1]) if len(set(numbers[:, k])) > 1]
     if len(varying) > 1:
         return  # it is unknown which of the numbers counts the slices
     if not varying:
-        raise InputError(f"slices must have numbers that differ, got {files[1].name} twice in {path.name}: rename one")
+        raise InputError("slices", "have numbers that differ", f"{files[1].name} twice in {path.name}", "rename one")
     counted = numbers[:, varying[0]].tolist()
     steps = [after - before for before, after in pairwise(counted)]
     if 0 in steps:
         twice = files[steps.index(0) + 1].name
-        raise InputError(f"slices must have numbers that differ, got that of {twice} twice in {path.name}: remove one")
+        raise InputError("slices", "have numbers that differ", f"that of {twice} twice in {path.name}", "remove one")
     wide = next((k for k, step in enumerate(steps) if step != min(steps)), None)
     if wide is not None:
         missing = sum(steps) // min(steps) - len(steps)
         raise InputError(
-            f"slice numbers must follow each other, got {files[wide + 1].name} after {files[wide].name} in "
-            f"{path.name}, {missing} missing: export the whole stack"
+            "slice numbers",
+            "follow each other",
+            f"{files[wide + 1].name} after {files[wide].name} in {path.name}, {missing} missing",
+            "export the whole stack",
         )
 
 
@@ -174,35 +184,41 @@ def _planes(file: Path) -> _Planes:
 
     try:
         with tifffile.TiffFile(file) as stored:
-            page, series = stored.pages.first, stored.series[0]
+            page = stored.pages.first
+            series = stored.series[0]
             axes = dict(zip(series.axes, series.shape, strict=True))
             further = [other.keyframe for other in stored.series[1:]]
             reduced = sum(bool(other.is_reduced) for other in further)
-            photometric, samples = int(page.photometric), int(page.samplesperpixel)
-            rows, columns = int(axes.pop("Y")), int(axes.pop("X"))
-            bits, dtype = int(page.bitspersample), series.dtype
-            size, held = prod(series.shape) * series.dtype.itemsize, sum(page.databytecounts)
+            photometric = int(page.photometric)
+            samples = int(page.samplesperpixel)
+            rows = int(axes.pop("Y"))
+            columns = int(axes.pop("X"))
+            bits = int(page.bitspersample)
+            dtype = series.dtype
+            size = prod(series.shape) * series.dtype.itemsize
+            held = sum(page.databytecounts)
             plain = (
                 int(page.compression) == _UNCOMPRESSED and len(stored.pages) == prod(series.shape) // rows // columns
             )
     except Exception as problem:  # the reader raises many kinds for a damaged file, none documented
-        raise InputError(_damaged(file)) from problem
+        raise _damaged(file) from problem
     if samples != 1 or photometric == _RGB or any(axes.get(axis, 1) > 1 for axis in _COLOUR_AXES):
         raise InputError(
-            f"a TIFF slice must hold one grey value per pixel, got several (colour, or grey with transparency) in "
-            f"{file.name}: export it as grey values"
+            "a TIFF slice",
+            "hold one grey value per pixel",
+            f"several (colour, or grey with transparency) in {file.name}",
+            "export it as grey values",
         )
     if photometric not in (_MIN_IS_WHITE, 1, _PALETTE) or len(further) > reduced:
         raise InputError(
-            f"a TIFF slice must hold one stack of grey values, got other content in {file.name}: export it as grey "
-            "values"
+            "a TIFF slice", "hold one stack of grey values", f"other content in {file.name}", "export it as grey values"
         )
     stacked = [int(count) for count in axes.values() if count > 1]
     if len(stacked) > 1:
-        raise InputError(f"a TIFF file must hold one stack, got {by(stacked)} planes in {file.name}: export one stack")
+        raise InputError("a TIFF file", "hold one stack", f"{by(stacked)} planes in {file.name}", "export one stack")
     count = prod(stacked)
     if plain and bits >= 8 and count * held < size:
-        raise InputError(_damaged(file))
+        raise _damaged(file)
     return _Planes((count, rows, columns), photometric, bits, dtype, reduced)
 
 
@@ -213,7 +229,7 @@ def _decoded(file: Path, planes: _Planes) -> NDArray[np.number]:
     try:
         values = np.asarray(imread(file)).reshape(planes.shape)
     except Exception as problem:  # the readers raise many kinds, none documented
-        raise InputError(_damaged(file)) from problem
+        raise _damaged(file) from problem
     return values.astype(np.uint8 if values.dtype == bool else values.dtype, copy=False).T
 
 
@@ -221,11 +237,13 @@ def _inverted(values: NDArray[np.number], bits: int, source: str) -> NDArray[np.
     """Return values whose white was their lowest as values whose white is the highest."""
     if values.dtype.kind != "u":
         raise InputError(
-            f"inverted grey values (MinIsWhite) must be whole numbers without a sign, got {values.dtype} in {source}: "
-            "export it with black as the lowest value"
+            "inverted grey values (MinIsWhite)",
+            "be whole numbers without a sign",
+            f"{values.dtype} in {source}",
+            "export it with black as the lowest value",
         )
     return values.dtype.type(2**bits - 1) - values
 
 
-def _damaged(file: Path) -> str:
-    return f"file must be a readable TIFF slice, got {file.name} (it is damaged or cut off): export it again"
+def _damaged(file: Path) -> InputError:
+    return InputError("file", "be a readable TIFF slice", f"{file.name} (it is damaged or cut off)", "export it again")

@@ -16,12 +16,12 @@ from meshes.base.errors import InputError, by, counted, names_of_caller, require
 from meshes.base.progress import Progress, silent
 from meshes.base.simplices import cross_products
 from meshes.ct.labels import Labels
-from meshes.images.part import box_of
+from meshes.images.frame import box_of
 from meshes.organs.label_surface import LabelGrid, label_triangles
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.tets.bisection import bisected
-from meshes.tets.inclusions import area_of, with_inclusion
 from meshes.tets.quality import repair_tets
+from meshes.tets.stuffing import area_of, with_inclusion
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise
 from meshes.voxels.mesh_sampling import nearest_on_triangles
@@ -68,7 +68,7 @@ class LabelledOrgan:
         """The organ's smooth surface, in the frame of the image."""
         found = label_triangles(self.solid, self.grid)
         if found is None:
-            raise InputError(f"{self.name} must be a few voxels thick, got less: segment a finer image")
+            raise InputError(self.name, "be a few voxels thick", "less", "segment a finer image")
         return surface_from_triangles(1e3 * found[0], found[1], source=self.name, scale_mm=1.0)
 
     def mesh(self, edge_mm: float | None = None, *, report: Progress = silent) -> tuple[TetMesh, dict[str, str]]:
@@ -95,9 +95,11 @@ class LabelledOrgan:
 
     def _with_parts(self, mesh: TetMesh, edge_mm: float, report: Progress) -> tuple[TetMesh, dict[str, str]]:
         """The mesh with its parts, and a note on each."""
-        notes, before = {}, np.zeros(self.solid.shape, dtype=bool)
+        notes = {}
+        before = np.zeros(self.solid.shape, dtype=bool)
         beyond = _BEYOND + int(np.ceil(_ENVELOPE * edge_mm / min(self.grid.spacing_mm)))
-        vertices, faces = self.surface.vertices_m, self.surface.faces
+        vertices = self.surface.vertices_m
+        faces = self.surface.faces
 
         def onto(points: NDArray[np.float64]) -> NDArray[np.float64]:
             return nearest_on_triangles(vertices, faces, points)
@@ -107,7 +109,7 @@ class LabelledOrgan:
             report(f"cutting {name} out of the tetrahedra", len(mesh.part_names) / (len(self.parts) + 1))
             surface = _part_triangles(mask, self.solid, before, self.grid, beyond)
             if surface is None:
-                raise InputError(f"{name} must be a few voxels thick, got less: leave it out, or segment a finer image")
+                raise InputError(name, "be a few voxels thick", "less", "leave it out, or segment a finer image")
             volume_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(mask))
             mesh, size = with_inclusion(mesh, name, *surface, volume_m3=volume_m3, onto=onto)
             notes[name] = " ".join(each for each in (f"{size}.", self.notes.get(name, "")) if each)
@@ -149,7 +151,7 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     """Find an organ and its parts in a label image; arguments and refusals as of `organ_mesh`."""
     twice = [name for name in parts if name == organ or list(parts).count(name) > 1]
     if twice:
-        raise InputError(f"parts must name other labels than the organ, each once, got {twice[0]}: remove it")
+        raise InputError("parts", "name other labels than the organ, each once", twice[0], "remove it")
     grid = LabelGrid(labels.image.spacing_mm, labels.image.origin_mm)
     whole = labels.mask(organ)
     masks = {name: labels.mask(name) for name in parts}
@@ -166,7 +168,8 @@ def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mas
     """The piece that holds most of the organ, its hollows filled, and notes on the rest and on the image's edge."""
     from scipy.ndimage import binary_fill_holes, label
 
-    notes, pieces = [], label(body)[0]
+    notes = []
+    pieces = label(body)[0]
     sizes = np.bincount(pieces[organ])
     solid: Mask = pieces == int(sizes.argmax())
     dropped_ml = 1e-3 * grid.voxel_mm3 * int(np.count_nonzero(body) - np.count_nonzero(solid))
@@ -185,7 +188,8 @@ def _one_piece(body: Mask, organ: Mask, grid: LabelGrid, name: str) -> tuple[Mas
 
 def _ends(solid: Mask, grid: LabelGrid) -> list[str]:
     """Notes on where the image cuts an organ off, and on where its labels may end before it does."""
-    notes, cut_mm2 = [], 0.0
+    notes = []
+    cut_mm2 = 0.0
     for axis, name in enumerate("xyz"):
         layers = np.count_nonzero(solid, axis=tuple(each for each in range(3) if each != axis))
         area_mm2 = grid.voxel_mm3 / grid.spacing_mm[axis] * layers
@@ -213,9 +217,7 @@ def _pieces(name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, not
 
     inside = mask & solid
     if not inside.any():
-        raise InputError(
-            f"{name} must lie in {organ} or touch it, got it apart: leave it out, or correct the segmentation"
-        )
+        raise InputError(name, f"lie in {organ} or touch it", "it apart", "leave it out, or correct the segmentation")
     pieces, count = label(inside)
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)
     small = sizes < _FEWEST_VOXELS
@@ -223,8 +225,10 @@ def _pieces(name: str, mask: Mask, solid: Mask, organ: str, grid: LabelGrid, not
     kept: Mask = inside & ~small[pieces]
     if not kept.any():
         raise InputError(
-            f"{name} must have at least {_FEWEST_VOXELS} voxels in a piece to have a surface, got "
-            f"{int(sizes[1:].max())}: leave it out, or segment a finer image"
+            name,
+            f"have at least {_FEWEST_VOXELS} voxels in a piece to have a surface",
+            int(sizes[1:].max()),
+            "leave it out, or segment a finer image",
         )
     remarks = []
     if small.any():
@@ -258,7 +262,8 @@ def _part_triangles(
 
 def _of_volume(mesh: TetMesh, volume_m3: float) -> TetMesh:
     """The mesh with its surface laid outward by as much as makes its volume right: chords cut round bodies short."""
-    nodes, normals = mesh.surface_nodes, np.zeros(mesh.nodes_m.shape)
+    nodes = mesh.surface_nodes
+    normals = np.zeros(mesh.nodes_m.shape)
     for corner in mesh.surface.T:
         np.add.at(normals, corner, cross_products(mesh.nodes_m, mesh.surface))
     outward = normals[nodes] / np.linalg.norm(normals[nodes], axis=1, keepdims=True)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.simplices import enclosed_volume
+from meshes.images.frame import box_of
 from meshes.images.label_spread import spread_labels
-from meshes.images.part import box_of
 
 __all__ = ["LabelGrid", "label_triangles"]
 
@@ -22,7 +22,8 @@ _LEVELS = (0.25, 0.75)
 """Shares among which the one is sought that encloses the volume of the voxels."""
 _SLOPE = -1.0
 """First guess of how the volume's share falls with the level; later ones are secants."""
-_TRIES, _CLOSE = 6, 2e-4
+_TRIES = 6
+_CLOSE = 2e-4
 """Meshes by which it is sought, and the share of the volume that is close enough."""
 
 
@@ -81,10 +82,12 @@ def label_triangles(mask: NDArray[np.bool_], grid: LabelGrid) -> Triangles | Non
     share = spread_labels(padded.astype(np.float32), deviation)
     place = grid.within(tuple(each.start - pad for each in crop))
     wanted_m3 = 1e-9 * grid.voxel_mm3 * float(np.count_nonzero(mask))
-    low, high = _LEVELS[0], min(_LEVELS[1], float(share.max()))
+    low = _LEVELS[0]
+    high = min(_LEVELS[1], float(share.max()))
     if low >= high:
         return None
-    level, before = min(0.5, 0.5 * (low + high)), (0.0, 0.0)
+    level = min(0.5, 0.5 * (low + high))
+    before = (0.0, 0.0)
     for attempt in range(_TRIES):
         found = _level(share, level, place)
         off = enclosed_volume(*found) / wanted_m3 - 1.0

@@ -34,10 +34,12 @@ __all__ = ["LIVER_REGIONS", "Nodule", "liver", "liver_region", "liver_shape", "o
 _TOP_M = (-0.026, 0.0)
 _SIZE = 0.94
 _TRIES = 4
-_NODULE_EDGES, _NODULE_GROWTH = 3.0, 1.0
+_NODULE_EDGES = 3.0
+_NODULE_GROWTH = 1.0
 """Edges across a nodule, and their growth with the distance from it. Cut from cells as long as its radius, a nodule of
 18 mm lost 13 % of its volume; the force over it was up to 2 % off, a fifth of what the nodule adds."""
-_NEAR_M, _PROJECTIONS = 1e-5, 4
+_NEAR_M = 1e-5
+_PROJECTIONS = 4
 _VISCERAL = (0.33, 0.10, -0.94)
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
 """Surfaces that hold a liver, as a direction and the angle [degrees] within which they face it: the visceral side it
@@ -63,7 +65,8 @@ class Nodule:
 def liver_shape() -> Shape:
     """Signed distance of the liver in the site frame [m]."""
     drawn = _drawn()
-    low, high = 0.0, 0.2
+    low = 0.0
+    high = 0.2
     column = np.array([[_TOP_M[0], _TOP_M[1], 0.0]])
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -96,7 +99,8 @@ def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh
 
 def onto_liver(points: np.ndarray) -> np.ndarray:
     """Points of the procedural liver's surface near some points [m], both shape (n, 3)."""
-    shape, found = liver_shape(), np.array(points, dtype=np.float64)
+    shape = liver_shape()
+    found = np.array(points, dtype=np.float64)
     steps = _NEAR_M * np.vstack([np.eye(3), -np.eye(3)])
     for _ in range(_PROJECTIONS):
         around = shape.distance((found[:, None] + steps).reshape(-1, 3)).reshape(-1, 6)
@@ -115,7 +119,7 @@ def liver_region(mesh: TetMesh, name: str) -> Nodes:
         If the name is unknown.
     """
     if name not in LIVER_REGIONS:
-        raise InputError(f"region must be one of {', '.join(LIVER_REGIONS)}, got {name}: use below")
+        raise InputError("region", f"be one of {', '.join(LIVER_REGIONS)}", name, "use below")
     direction, within_deg = LIVER_REGIONS[name]
     return nodes_facing(mesh, direction=direction, within_deg=within_deg)
 
@@ -180,14 +184,18 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
     radius = require_length("nodule.radius_m", nodule.radius_m, 0.0, math.inf, 0.01)
     if radius < spacing:
         raise InputError(
-            f"nodule.radius_m must give a ball of at least {2e3 * spacing:.4g} mm in diameter, two edges of the mesh, "
-            f"got {2e3 * radius:.4g} mm: use a finer mesh"
+            "nodule.radius_m",
+            f"give a ball of at least {2000.0 * spacing:.4g} mm in diameter, two edges of the mesh",
+            f"{2000.0 * radius:.4g} mm",
+            "use a finer mesh",
         )
     deep = -float(shape.distance(np.array([nodule.centre_m], dtype=np.float64))[0])
     if not deep >= radius + spacing:
         raise InputError(
-            f"nodule.centre_m must lie at least its radius and the spacing, {1e3 * (radius + spacing):.3g} mm, below "
-            f"the surface, got {1e3 * deep:.3g} mm: move it deeper"
+            "nodule.centre_m",
+            f"lie at least its radius and the spacing, {1e3 * (radius + spacing):.3g} mm, below the surface",
+            f"{1e3 * deep:.3g} mm",
+            "move it deeper",
         )
     centre = np.array(nodule.centre_m)
     edge = 2.0 * radius / _NODULE_EDGES
@@ -199,11 +207,15 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
     mesh = bisected(mesh, size_m)
     # Chords cut a ball's volume short: the surface is laid a little outside it, as much as makes the volume right.
     # Where nodes change their snapping the volume jumps, so the best of a few tries is kept.
-    volume, laid, best, least = 4.0 / 3.0 * math.pi * radius**3, radius, mesh, math.inf
+    volume = 4.0 / 3.0 * math.pi * radius**3
+    laid = radius
+    best = mesh
+    least = math.inf
     for _ in range(_TRIES):
         made = with_part(mesh, sphere(laid, nodule.centre_m), "nodule")
         share = float(made.volumes_m3[made.part == len(mesh.part_names)].sum()) / volume
         if abs(share - 1.0) < least:
-            best, least = made, abs(share - 1.0)
+            best = made
+            least = abs(share - 1.0)
         laid *= share ** (-1.0 / 3.0)
     return best

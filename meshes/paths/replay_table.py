@@ -80,7 +80,7 @@ def to_replay(
     feed = require_positive("feed_mm_s", feed_mm_s, "use for example 2")
     rapid = require_positive("rapid_mm_s", rapid_mm_s, "use for example 20")
     if not clearance_mm >= 0.0:
-        raise InputError(f"clearance_mm must be at least 0, got {clearance_mm}: use for example 5")
+        raise InputError("clearance_mm", "be at least 0", clearance_mm, "use for example 5")
     tips = 1e3 * site.to_site(1e-3 * path.points_mm)
     axes = np.tile([0.0, 0.0, 1.0], (len(tips), 1)) if path.axes is None else path.axes @ site.rotation
     given = np.full(len(tips), feed) if path.feeds_mm_s is None else path.feeds_mm_s
@@ -93,7 +93,7 @@ def to_replay(
     turn = np.arccos(np.clip(np.einsum("ij,ij->i", axes[1:], axes[:-1]), -1.0, 1.0))
     moved = np.concatenate([[True], (length > _SAME_MM) | (turn > _SAME_RAD)])
     if moved.sum() < 2:
-        raise InputError("path must lead somewhere, got points that are all one: add another")
+        raise InputError("path", "lead somewhere", "points that are all one", "add another")
     lasting = np.maximum(length / speeds[1:], turn / _TURN_RAD_S)
     times = np.concatenate([[0.0], np.cumsum(lasting)])
     turns = Rotation.concatenate([_towards(axis) for axis in axes[moved]])

@@ -116,22 +116,20 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     """
     file = Path(path)
     if coordinates not in TO_LPS:
-        raise InputError(f"coordinates must be LPS or RAS, got {coordinates}: look which of them the file was made in")
+        raise InputError("coordinates", "be LPS or RAS", coordinates, "look which of them the file was made in")
     require_file(file, "a path")
     suffix = file.suffix.lower()
     if suffix in (".json", ".fcsv"):
         return Toolpath(read_curve(file))
     readers = {".csv": _read_table, **dict.fromkeys(GCODE, _read_gcode)}
     if suffix not in readers:
-        raise InputError(
-            f"path must be a .csv, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)}), got {file}: rename it"
-        )
+        raise InputError("path", f"be a .csv, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)})", file, "rename it")
     try:
         read = readers[suffix](file)
     except (UnicodeDecodeError, csv.Error):
-        raise InputError(f"path must be a CSV table or G-code, got other data in {file}: export it as text") from None
+        raise InputError("path", "be a CSV table or G-code", f"other data in {file}", "export it as text") from None
     if len(read.points_mm) < 2:
-        raise InputError(f"path must have at least two points, got {len(read.points_mm)} in {file}: add some")
+        raise InputError("path", "have at least two points", f"{len(read.points_mm)} in {file}", "add some")
     frame = TO_LPS[coordinates]
     return Toolpath(read.points_mm * frame, read.feeds_mm_s, None if read.axes is None else read.axes * frame)
 
@@ -149,15 +147,13 @@ def _read_table(file: Path) -> Toolpath:
     feeds = column.get(_FEED)
     if feeds is not None and (feeds[1:] <= 0.0).any():
         row = 1 + int(np.argmax(feeds[1:] <= 0.0))
-        raise InputError(
-            f"{_FEED} must be positive, got {feeds[row]:g} at point {row + 1} of {file}: use for example 2"
-        )
+        raise InputError(_FEED, "be positive", f"{feeds[row]:g} at point {row + 1} of {file}", "use for example 2")
     axes = None
     if _AXIS[0] in column:
         axes = np.column_stack([column[name] for name in _AXIS])
         length = np.linalg.norm(axes, axis=1)
         if (length < 1e-6).any():
-            raise InputError(f"axis must not be zero, got it at point {int(np.argmin(length)) + 1} of {file}: fix it")
+            raise InputError("axis", "not be zero", f"it at point {int(np.argmin(length)) + 1} of {file}", "fix it")
         axes = axes / length[:, None]
     return Toolpath(np.column_stack([column[name] for name in _PLACE]), feeds, axes)
 
@@ -167,11 +163,11 @@ def _check_columns(names: tuple[str, ...], file: Path) -> None:
     needed = (*_PLACE, *_AXIS) if any(name in names for name in _AXIS) else _PLACE
     missing = [name for name in needed if name not in names]
     if missing:
-        raise InputError(f"path must have the columns {', '.join(missing)}, got {', '.join(names)} in {file}: add them")
+        raise InputError("path", f"have the columns {', '.join(missing)}", f"{', '.join(names)} in {file}", "add them")
     unknown = [name for name in names if name not in _COLUMNS]
     if unknown:
         raise InputError(
-            f"path must have no columns but {', '.join(_COLUMNS)}, got {', '.join(unknown)} in {file}: drop them"
+            "path", f"have no columns but {', '.join(_COLUMNS)}", f"{', '.join(unknown)} in {file}", "drop them"
         )
 
 
@@ -182,7 +178,7 @@ def _number(text: str | None, name: str, line: int, file: Path) -> float:
         value = float("nan")
     if not np.isfinite(value):
         raise InputError(
-            f"path must hold finite numbers, got {text or 'nothing'} for {name} in line {line} of {file}: fix it"
+            "path", "hold finite numbers", f"{text or 'nothing'} for {name} in line {line} of {file}", "fix it"
         )
     return value
 

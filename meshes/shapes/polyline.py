@@ -15,7 +15,9 @@ def arc_length(corners: ArrayLike) -> Array:
 
 def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
     """Points at some path lengths from the first corner, shape (m, 3); the ends beyond them."""
-    along, given, at = arc_length(corners), np.asarray(corners), np.asarray(lengths, dtype=np.float64)
+    along = arc_length(corners)
+    given = np.asarray(corners)
+    at = np.asarray(lengths, dtype=np.float64)
     return np.column_stack([np.interp(at, along, given[:, axis]) for axis in range(3)])
 
 
@@ -31,12 +33,14 @@ def kept_corners(corners: ArrayLike, within: float) -> NDArray[np.int64]:
         That distance, in the unit of the corners.
     """
     given = np.asarray(corners, dtype=np.float64)
-    kept, open_legs = {0, len(given) - 1}, [(0, len(given) - 1)]
+    kept = {0, len(given) - 1}
+    open_legs = [(0, len(given) - 1)]
     while open_legs:
         first, last = open_legs.pop()
         if last - first < 2:
             continue
-        along, between = given[last] - given[first], given[first + 1 : last] - given[first]
+        along = given[last] - given[first]
+        between = given[first + 1 : last] - given[first]
         share = np.clip(between @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
         off = np.linalg.norm(between - share[:, None] * along, axis=1)
         if off.max() > within:

@@ -68,7 +68,8 @@ class Shape:
     def translate(self, by_m: Vector) -> Shape:
         """Move by the vector `by_m` [m], shape (3,)."""
         shift = require_vector("by_m", by_m)
-        lower, upper = np.add(self.lower_m, shift), np.add(self.upper_m, shift)
+        lower = np.add(self.lower_m, shift)
+        upper = np.add(self.upper_m, shift)
         return Shape(lambda p: self.distance(p - shift.astype(p.dtype)), tuple(lower.tolist()), tuple(upper.tolist()))
 
 
@@ -101,7 +102,8 @@ def union(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
 
 def intersection(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
     """Points in both solids; a positive `blend_m` [m] rounds the edge between them."""
-    lower, upper = np.maximum(a.lower_m, b.lower_m), np.minimum(a.upper_m, b.upper_m)
+    lower = np.maximum(a.lower_m, b.lower_m)
+    upper = np.minimum(a.upper_m, b.upper_m)
     return Shape(
         lambda p: smooth_maximum(a.distance(p), b.distance(p), blend_m), tuple(lower.tolist()), tuple(upper.tolist())
     )
@@ -114,10 +116,8 @@ def difference(a: Shape, b: Shape, *, blend_m: float = 0.0) -> Shape:
 
 def sphere(radius_m: float, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     """Ball of `radius_m` [m] about `centre_m` [m]."""
-    radius, centre = (
-        require_positive("radius_m", radius_m, "use about 5e-3 (5 mm)"),
-        require_vector("centre_m", centre_m),
-    )
+    radius = require_positive("radius_m", radius_m, "use about 5e-3 (5 mm)")
+    centre = require_vector("centre_m", centre_m)
     return Shape(lambda p: _norm(p - centre.astype(p.dtype)) - radius, *_around(centre, radius))
 
 
@@ -129,11 +129,14 @@ def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float
     InputError
         If a length is not positive or the rounding exceeds half the shortest edge.
     """
-    size, centre = _extent("size_m", size_m, "(0.02, 0.012, 0.008)"), require_vector("centre_m", centre_m)
+    size = _extent("size_m", size_m, "(0.02, 0.012, 0.008)")
+    centre = require_vector("centre_m", centre_m)
     if not 0.0 <= rounding_m <= 0.5 * float(size.min()):
         raise InputError(
-            f"rounding_m must be in [0, half the shortest edge {0.5 * float(size.min()):g}], "
-            f"got {rounding_m}: use 0 for sharp edges"
+            "rounding_m",
+            f"be in [0, half the shortest edge {0.5 * float(size.min()):g}]",
+            rounding_m,
+            "use 0 for sharp edges",
         )
     half = 0.5 * size - rounding_m
 
@@ -151,7 +154,8 @@ def cylinder(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 
     def distance(p: Points) -> Distances:
         along, across = _cylindrical(p, start, axis)
-        side, cap = across - radius, np.abs(along - 0.5 * length) - 0.5 * length
+        side = across - radius
+        cap = np.abs(along - 0.5 * length) - 0.5 * length
         outside = np.sqrt(np.maximum(side, 0.0) ** 2 + np.maximum(cap, 0.0) ** 2)
         return outside + np.minimum(np.maximum(side, cap), 0.0)
 
@@ -179,7 +183,8 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
     (|p/r| - 1)·min(r) is 1-Lipschitz and zero on the surface; along a long half axis it falls short by min(r)/r.
     """
-    radii, centre = _extent("radii_m", radii_m, "(0.02, 0.01, 0.01)"), require_vector("centre_m", centre_m)
+    radii = _extent("radii_m", radii_m, "(0.02, 0.01, 0.01)")
+    centre = require_vector("centre_m", centre_m)
     shortest = float(radii.min())
     return Shape(
         lambda p: (_norm((p - centre.astype(p.dtype)) / radii.astype(p.dtype)) - 1.0) * shortest,
@@ -189,9 +194,11 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
 def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     """Everything behind the plane through `point_m` [m] with outward `normal`."""
-    unit, point = require_direction("normal", normal), require_vector("point_m", point_m)
+    unit = require_direction("normal", normal)
+    point = require_vector("point_m", point_m)
     offset = float(unit @ point)
-    lower, upper = np.full(3, -math.inf), np.full(3, math.inf)
+    lower = np.full(3, -math.inf)
+    upper = np.full(3, math.inf)
     for k in range(3):
         if math.isclose(abs(unit[k]), 1.0, rel_tol=0.0, abs_tol=1e-15):
             (upper if unit[k] > 0 else lower)[k] = point[k]
@@ -211,17 +218,18 @@ def _cylindrical(p: Points, start: NDArray[np.float64], axis: NDArray[np.float64
 
 
 def _segment(start_m: Vector, end_m: Vector) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    start, end = require_vector("start_m", start_m), require_vector("end_m", end_m)
+    start = require_vector("start_m", start_m)
+    end = require_vector("end_m", end_m)
     length = float(np.linalg.norm(end - start))
     if length == 0.0:
-        raise InputError(f"end_m must differ from start_m, got {in_brackets(end)} for both: use a sphere for a point")
+        raise InputError("end_m", "differ from start_m", f"{in_brackets(end)} for both", "use a sphere for a point")
     return start, (end - start) / length, length
 
 
 def _extent(name: str, value: Vector, example: str) -> NDArray[np.float64]:
     extent = require_vector(name, value)
     if not np.all(extent > 0.0):
-        raise InputError(f"{name} must be positive in every direction, got {in_brackets(extent)}: use about {example}")
+        raise InputError(name, "be positive in every direction", in_brackets(extent), f"use about {example}")
     return extent
 
 

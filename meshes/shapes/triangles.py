@@ -11,9 +11,11 @@ __all__ = ["shape_triangles"]
 
 WANTED_M = 4e-6
 """Distance of the triangles from the surface that is aimed at [m]."""
-FIRST_POINTS, MOST_POINTS = 1e5, 1e6
+FIRST_POINTS = 1e5
+MOST_POINTS = 1e6
 """Points of the first and of the finest lattice on which the distance is evaluated."""
-ROUNDS, DOUBLINGS = 3, 12
+ROUNDS = 3
+DOUBLINGS = 12
 STEP_M = 1e-6
 """Of the differences that make the gradient of a distance."""
 
@@ -39,10 +41,12 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, N
     InputError
         If the shape has no surface there.
     """
-    middle, half = 0.5 * (low_m + high_m), 0.5 * float(np.linalg.norm(high_m - low_m))
+    middle = 0.5 * (low_m + high_m)
+    half = 0.5 * float(np.linalg.norm(high_m - low_m))
     reach = half + max(float(shape.distance(middle[None])[0]), 0.0)
     for _ in range(DOUBLINGS):
-        start, end = np.maximum(middle - half - reach, shape.lower_m), np.minimum(middle + half + reach, shape.upper_m)
+        start = np.maximum(middle - half - reach, shape.lower_m)
+        end = np.minimum(middle + half + reach, shape.upper_m)
         low, high = _around_surface(shape, start, end)
         nearest = _nearest(shape, low, high, middle)
         # What lies farther from the middle than its nearest point and the box together is nearest to no point of it.
@@ -51,7 +55,7 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, N
             break
         reach = min(half + nearest, 2.0 * reach)
     else:
-        raise InputError("keep_clear must name a structure with a surface, got an empty one: leave it out")
+        raise InputError("keep_clear", "name a structure with a surface", "an empty one", "leave it out")
     volume = float(np.prod(high - low))
     finest, spacing = ((volume / count) ** (1.0 / 3.0) for count in (MOST_POINTS, FIRST_POINTS))
     for _ in range(ROUNDS):

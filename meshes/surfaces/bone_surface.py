@@ -46,7 +46,9 @@ def surface_anatomy(
         ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
         ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),
     )
-    shell, vertices, faces = 1e-3 * thickness, site.to_site(surface.vertices_m), surface.faces
+    shell = 1e-3 * thickness
+    vertices = site.to_site(surface.vertices_m)
+    faces = surface.faces
 
     def distance(points: NDArray[np.floating]) -> NDArray[np.floating]:
         return triangle_distance(vertices, faces, points).astype(points.dtype)
@@ -66,6 +68,7 @@ def surface_anatomy(
         "holds a surface only",
     }
     solid = Shape(distance, tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist()))
-    sampler, placement = TriangleSampler(vertices, faces, shell), site.placement(surface.report.scale_mm)
+    sampler = TriangleSampler(vertices, faces, shell)
+    placement = site.placement(surface.report.scale_mm)
     caps = tuple(site.to_site(points) for points in surface.caps_m)
     return Anatomy(surface.report.source, solid, SURFACE_LAYERS, classify, notes, sampler, placement, caps)

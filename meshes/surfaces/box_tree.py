@@ -71,10 +71,13 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
         Lowest and highest corner of the box from which distances are asked [m], shape (2, 3); triangles far from it may
         be longer. None for everywhere.
     """
-    corners, box, longest_m = corners_m, box_m, LONGEST_M
+    corners = corners_m
+    box = box_m
+    longest_m = LONGEST_M
     while True:
         done: list[Array] = []
-        rest, count = corners, 0
+        rest = corners
+        count = 0
         while len(rest) and count + len(rest) <= MOST + len(corners):
             edges = np.linalg.norm(np.roll(rest, -1, axis=1) - rest, axis=2)
             allowed = longest_m + BY_DISTANCE * _away(rest.mean(axis=1), box)
@@ -90,7 +93,9 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
 def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
     """Halve each triangle across the edge that starts at its corner `longest`."""
     turned = np.take_along_axis(corners, ((longest[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
-    a, b, c = turned[:, 0], turned[:, 1], turned[:, 2]
+    a = turned[:, 0]
+    b = turned[:, 1]
+    c = turned[:, 2]
     middle = 0.5 * (a + b)
     return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
 
@@ -106,7 +111,8 @@ def _away(points: Array, box: Array | None) -> Array:
 def _in_order(corners: Array) -> Array:
     """Sort triangles along a Morton curve, so that neighbours share a leaf."""
     centres = corners.mean(axis=1)
-    low, size = centres.min(axis=0), float(np.ptp(centres, axis=0).max()) or 1.0
+    low = centres.min(axis=0)
+    size = float(np.ptp(centres, axis=0).max()) or 1.0
     cells = np.minimum((centres - low) / size * _GRID, _GRID - 1).astype(np.int64)
     code = np.zeros(len(cells), dtype=np.int64)
     for bit in range(10):

@@ -64,7 +64,8 @@ class _Pear:
         """Exact signed distance [m] to the outline (the hull of two circles), negative inside."""
         sine = self.sine
         cosine = math.sqrt(1.0 - sine**2)
-        across, up = np.abs(x), y - self.lower_y
+        across = np.abs(x)
+        up = y - self.lower_y
         along = cosine * up - sine * across
         span = cosine * (self.upper_y - self.lower_y)
         tangent = across * cosine + up * sine - self.lower_radius
@@ -83,7 +84,8 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
     def outline(upper: float) -> _Pear:
         return _Pear(lower, upper, lower - 0.5 * height, 0.5 * height - upper)
 
-    narrow, wide = 0.3 * lower, lower
+    narrow = 0.3 * lower
+    wide = lower
     for _ in range(50):
         middle = 0.5 * (narrow + wide)
         if outline(middle).half_width(0.25 * height) < upper_width_ratio * lower:
@@ -193,24 +195,31 @@ def _checked_pear(width: float, height: float, ratio: float, depth: float, taper
     """Outline of the face, with the combinations refused that close the vault or cut the face off."""
     if radius <= 0.5 * height:
         raise InputError(
-            f"curvature_radius_mm must exceed half of height_mm ({500 * height:g}), got {1e3 * radius:g}: use 35"
+            "curvature_radius_mm", f"exceed half of height_mm ({500 * height:g})", f"{1e3 * radius:g}", "use 35"
         )
     if height < 1.1 * width:
         raise InputError(
-            f"height_mm must be at least 1.1 times width_mm ({1e3 * width:g}), got {1e3 * height:g}: use 37.5 with 27.8"
+            "height_mm",
+            f"be at least 1.1 times width_mm ({1e3 * width:g})",
+            f"{1e3 * height:g}",
+            "use 37.5 with 27.8",
         )
     if depth * math.tan(taper) > 0.45 * width:
         raise InputError(
-            f"vault_taper_deg must leave the vault open at its base, got {math.degrees(taper):g} over "
-            f"{1e3 * depth:g} mm: use at most {math.degrees(math.atan(0.45 * width / depth)):.1f}"
+            "vault_taper_deg",
+            "leave the vault open at its base",
+            f"{math.degrees(taper):g} over {1e3 * depth:g} mm",
+            f"use at most {math.degrees(math.atan(0.45 * width / depth)):.1f}",
         )
     return _pear(width, height, ratio)
 
 
 def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
     """Outer surface: the outline extruded, leaning inward below z = 0, dished by a sphere, cut off at the base."""
-    sine, cosine = math.sin(taper), math.cos(taper)
-    half_width, half_height = pear.lower_radius, pear.lower_radius - pear.lower_y
+    sine = math.sin(taper)
+    cosine = math.cos(taper)
+    half_width = pear.lower_radius
+    half_height = pear.lower_radius - pear.lower_y
     rim = radius - math.sqrt(radius**2 - half_height**2)
 
     def wall_distance(p: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -235,7 +244,9 @@ def _layers(plate: Thickness, radius: float, wall: float, densities: Sequence[fl
         points: NDArray[np.floating], depth: NDArray[np.floating]
     ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
         """Layer and density [kg/m3], shape (n,), of points [m], shape (n, 3), at depths below the surface [m]."""
-        x, y, z = points[:, 0], points[:, 1], points[:, 2]
+        x = points[:, 0]
+        y = points[:, 1]
+        z = points[:, 2]
         below = np.sqrt(x**2 + y**2 + (z - radius) ** 2) - radius - plate(x, y)
         layer = np.where(below < 0.0, 0, np.where(depth < wall, 1, 2)).astype(np.uint8)
         graded = deep + (below_plate - deep) * np.exp(-np.maximum(below, 0.0) / decay)

@@ -1,14 +1,17 @@
-"""Closing the holes of a triangle surface by fans of triangles."""
+"""Fill holes of triangle surfaces, and join two surfaces whose edges nearly meet."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.arrays import Array
 from meshes.base.simplices import directed_edges
 from meshes.surfaces.repair import Triangles, is_manifold, triangle_areas
 
-__all__ = ["Holes", "fill_holes"]
+__all__ = ["Holes", "close_seams", "fill_holes", "open_loops"]
+
+Faces = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -32,9 +35,13 @@ def fill_holes(
     """
     if is_manifold(faces):
         return (vertices, faces), Holes(0, 0, (), 0.0)
-    loops = _loops(_unmatched(len(vertices), faces))
-    points, triangles, number = [vertices], [faces], len(vertices)
-    limit, areas, caps = largest * float(triangle_areas(vertices, faces).sum()), [], []
+    loops = open_loops(len(vertices), faces)
+    points = [vertices]
+    triangles = [faces]
+    number = len(vertices)
+    limit = largest * float(triangle_areas(vertices, faces).sum())
+    areas: list[float] = []
+    caps = []
     for loop in loops:
         middle = vertices[loop].mean(axis=0)
         spokes = vertices[loop] - middle
@@ -61,10 +68,10 @@ def _unmatched(vertex_count: int, faces: NDArray[np.int64]) -> NDArray[np.int64]
     return np.repeat(pairs, np.abs(surplus), axis=0)
 
 
-def _loops(edges: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Split balanced directed edges into loops that visit no vertex twice."""
+def open_loops(vertex_count: int, faces: Faces) -> list[Faces]:
+    """Loops of unmatched edges that visit no vertex twice, in the direction of their triangles."""
     following: dict[int, list[int]] = {}
-    for a, b in edges.tolist():
+    for a, b in _unmatched(vertex_count, faces).tolist():
         following.setdefault(a, []).append(b)
     loops = []
     for start in following:
@@ -78,3 +85,62 @@ def _loops(edges: NDArray[np.int64]) -> list[NDArray[np.int64]]:
             else:
                 path.append(step)
     return loops
+
+
+def close_seams(points: Array, faces: Faces, *, first_part: int, within: float) -> tuple[Array, Faces]:
+    """Join the open loops of two parts by ribbons of triangles, and fill every other open loop.
+
+    Parameters
+    ----------
+    points
+        Vertices, shape (n, 3).
+    faces
+        Triangles wound outward, shape (m, 3).
+    first_part
+        Number of vertices that belong to the first part; all others belong to the second.
+    within
+        Largest mean distance between two loops that belong together.
+
+    Returns
+    -------
+    Vertices and triangles; added ones come last.
+    """
+    loops = open_loops(len(points), faces)
+    theirs = [loop for loop in loops if loop[0] >= first_part]
+    joined = [faces]
+    for loop in loops:
+        apart = [_apart(points[loop], points[other]) for other in theirs] if loop[0] < first_part else []
+        if apart and min(apart) < within:
+            joined.append(_ribbon(points, loop, theirs.pop(int(np.argmin(apart)))))
+    return fill_holes(points, np.concatenate(joined), np.inf)[0]
+
+
+def _apart(points: Array, others: Array) -> float:
+    """Mean distance of the points of two loops from each other."""
+    from scipy.spatial import cKDTree
+
+    there = cKDTree(others).query(points)[0]
+    back = cKDTree(points).query(others)[0]
+    return float(max(there.mean(), back.mean()))
+
+
+def _ribbon(points: Array, loop: Faces, other: Faces) -> Faces:
+    """Triangles between two loops that run in opposite directions, along the shorter diagonal at every step."""
+    along = other[::-1]
+    nearest = int(np.linalg.norm(points[along] - points[loop[0]], axis=1).argmin())
+    first = np.append(loop, loop[0])
+    second = np.roll(along, -nearest)
+    second = np.append(second, second[0])
+    i = 0
+    j = 0
+    triangles = []
+    while i < len(loop) or j < len(other):
+        forward = np.inf if i == len(loop) else np.linalg.norm(points[first[i + 1]] - points[second[j]])
+        aside = np.inf if j == len(other) else np.linalg.norm(points[first[i]] - points[second[j + 1]])
+        if forward <= aside:
+            triangles.append((first[i + 1], first[i], second[j]))
+            i += 1
+        else:
+            triangles.append((second[j], second[j + 1], first[i]))
+            j += 1
+    return np.array(triangles, dtype=np.int64)

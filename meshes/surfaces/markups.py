@@ -22,7 +22,8 @@ TO_LPS = {"LPS": np.ones(3), "RAS": np.array([-1.0, -1.0, 1.0])}
 """Factors of x, y and z from each of the two frames of patients to LPS."""
 _FRAMES = {**TO_LPS, "0": TO_LPS["RAS"], "1": TO_LPS["LPS"]}
 """As `TO_LPS`, with the numbers that files before version 4.11 of 3D Slicer hold."""
-_POINTS, _CURVES = "Fiducial", ("Line", "Curve", "ClosedCurve")
+_POINTS = "Fiducial"
+_CURVES = ("Line", "Curve", "ClosedCurve")
 _COLUMNS = ("id", "x", "y", "z")
 
 
@@ -78,14 +79,14 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     if file.suffix.lower() == ".fcsv":
         return (_point_list(file),)
     if not file.name.lower().endswith(".json"):
-        raise InputError(f"markups must be a .mrk.json or .fcsv file, got {file}: save them from 3D Slicer")
+        raise InputError("markups", "be a .mrk.json or .fcsv file", file, "save them from 3D Slicer")
     try:
         listed = read_json(file.read_text("utf-8"))["markups"]
         found = tuple(_markup(one, file) for one in listed)
     except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, AttributeError):
-        raise InputError(f"markups must be those of 3D Slicer, got other JSON in {file}: save them again") from None
+        raise InputError("markups", "be those of 3D Slicer", f"other JSON in {file}", "save them again") from None
     if not found:
-        raise InputError(f"markups must hold at least one, got none in {file}: save them again")
+        raise InputError("markups", "hold at least one", f"none in {file}", "save them again")
     return found
 
 
@@ -105,8 +106,10 @@ def read_site(path: str | Path) -> MarkedSite:
     if len(planes) != 1 or len(planes[0].points_mm) != wanted:
         held = ", ".join(f"{one.kind} of {len(one.points_mm)}" for one in planes) or "none"
         raise InputError(
-            f"site must be marked by one plane, one line from the site inward, or one point, got {held} in {path}: "
-            "delete the others"
+            "site",
+            "be marked by one plane, one line from the site inward, or one point",
+            f"{held} in {path}",
+            "delete the others",
         )
     one = planes[0]
     if one.kind != "Line":
@@ -114,7 +117,7 @@ def read_site(path: str | Path) -> MarkedSite:
     outward = one.points_mm[0] - one.points_mm[1]
     length = float(np.linalg.norm(outward))
     if length == 0.0:
-        raise InputError(f"line must have a length, got one of two points alike in {path}: mark it again")
+        raise InputError("line", "have a length", f"one of two points alike in {path}", "mark it again")
     return MarkedSite(one.points_mm[0], outward / length)
 
 
@@ -133,7 +136,7 @@ def read_curve(path: str | Path) -> NDArray[np.float64]:
     curves = [one for one in found if one.kind in _CURVES] or [one for one in found if one.kind == _POINTS]
     if len(curves) != 1 or len(curves[0].points_mm) < 2:
         raise InputError(
-            f"markups must hold one curve of at least two points, got {len(curves)} in {path}: save the curve alone"
+            "markups", "hold one curve of at least two points", f"{len(curves)} in {path}", "save the curve alone"
         )
     points = curves[0].points_mm
     return np.vstack([points, points[:1]]) if curves[0].kind == "ClosedCurve" else points
@@ -141,22 +144,23 @@ def read_curve(path: str | Path) -> NDArray[np.float64]:
 
 def _markup(record: dict[str, Any], file: Path) -> Markup:
     """One markup of a JSON file."""
-    kind, frame = str(record["type"]), _frame(record.get("coordinateSystem"), file)
+    kind = str(record["type"])
+    frame = _frame(record.get("coordinateSystem"), file)
     unit = record.get("coordinateUnits", "mm")
     if unit not in ("mm", ["mm", "mm", "mm"]):
-        raise InputError(f"coordinateUnits must be mm, got {unit} in {file}: save the markups in mm")
+        raise InputError("coordinateUnits", "be mm", f"{unit} in {file}", "save the markups in mm")
     listed = record.get("controlPoints") or []
     labels = tuple(str(point.get("label") or point.get("id") or number + 1) for number, point in enumerate(listed))
     for point, label in zip(listed, labels, strict=True):
         status = point.get("positionStatus", "defined")
         if status != "defined":
-            raise InputError(f"control points must be placed, got {status} for {label} in {file}: place or delete it")
+            raise InputError("control points", "be placed", f"{status} for {label} in {file}", "place or delete it")
     points = [frame * _three(point["position"], label, file) for point, label in zip(listed, labels, strict=True)]
     if kind != "Plane":
         return Markup(kind, np.array(points).reshape(-1, 3), labels)
     origin = next((record[key] for key in ("center", "origin") if record.get(key) is not None), None)
     if origin is None and not points:
-        raise InputError(f"a plane must have an origin, got none in {file}: place its points")
+        raise InputError("a plane", "have an origin", f"none in {file}", "place its points")
     centre = points[0] if origin is None else frame * _three(origin, "its origin", file)
     return Markup(kind, centre[None], labels[:1] or ("plane",), _normal(record, points, frame, file))
 
@@ -173,10 +177,10 @@ def _normal(
     elif len(points) == 3:
         normal = np.cross(points[1] - points[0], points[2] - points[0])
     else:
-        raise InputError(f"a plane must have a normal, got none in {file}: save it from 3D Slicer 5")
+        raise InputError("a plane", "have a normal", f"none in {file}", "save it from 3D Slicer 5")
     length = float(np.linalg.norm(normal))
     if length < 1e-9:
-        raise InputError(f"a plane's normal must not be zero, got (0, 0, 0) in {file}: place its points apart")
+        raise InputError("a plane's normal", "not be zero", f"(0, 0, 0) in {file}", "place its points apart")
     return normal / length
 
 
@@ -189,7 +193,7 @@ def _point_list(file: Path) -> Markup:
     try:
         lines = file.read_text("utf-8").splitlines()
     except UnicodeDecodeError:
-        raise InputError(f"markups must be text, got other data in {file}: save them again") from None
+        raise InputError("markups", "be text", f"other data in {file}", "save them again") from None
     for line in lines:
         if line.startswith("#"):
             key, _, value = line.lstrip("# ").partition("=")
@@ -208,7 +212,7 @@ def _point_list(file: Path) -> Markup:
         points.append(frame * _three([_number(row.get(axis)) for axis in "xyz"], label, file))
         labels.append(label)
     if not points:
-        raise InputError(f"markups must hold at least one point, got none in {file}: save them again")
+        raise InputError("markups", "hold at least one point", f"none in {file}", "save them again")
     return Markup(_POINTS, np.array(points), tuple(labels))
 
 
@@ -222,12 +226,12 @@ def _number(text: str | None) -> float:
 
 def _frame(name: object, file: Path) -> NDArray[np.float64]:
     if str(name) not in _FRAMES:
-        raise InputError(f"coordinateSystem must be LPS or RAS, got {name or 'none'} in {file}: save it from 3D Slicer")
+        raise InputError("coordinateSystem", "be LPS or RAS", f"{name or 'none'} in {file}", "save it from 3D Slicer")
     return _FRAMES[str(name)]
 
 
 def _three(value: Any, what: str, file: Path) -> NDArray[np.float64]:
     numbers = as_vector(value)
     if numbers is None:
-        raise InputError(f"markups must hold three finite numbers, got {value!r:.80} for {what} in {file}: mend it")
+        raise InputError("markups", "hold three finite numbers", f"{value!r:.80} for {what} in {file}", "mend it")
     return numbers

@@ -1,228 +1,200 @@
-"""The entries to a vertebra's two pedicles: where the axis with the most bone around it comes out of the arch behind.
+"""Search for the pedicles of a vertebra. All lengths are in metres."""
 
-A pedicle joins the body to the arch beside the canal. Its narrowest section across the canal's front-to-back direction
-is where the line starts that is then moved and turned until the least depth of bone around it, over 18 mm, is greatest:
-the line that a surgeon drills along.
-"""
-
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
-from meshes.surfaces.glenoid_search import sample_surface
-from meshes.surfaces.site import FoundSite, Site
+from meshes.base.arrays import Array
+from meshes.surfaces.site import FoundSite, Site, across, axes_along, exits, refusal, sample_surface, spread
 from meshes.surfaces.surface import Surface
-from meshes.surfaces.vertebra_canal import Canal, canals
-from meshes.voxels.column_crossings import column_crossings, inside_scattered
+from meshes.voxels.column_crossings import inside_scattered
 from meshes.voxels.mesh_sampling import triangle_distance
 
 __all__ = ["VERTEBRA", "find_pedicle"]
 
 VERTEBRA = ("vertebra", "vertebra:left", "vertebra:right")
-_SAMPLES, _GRID_M, _STEP_M = 15000, 2e-3, 1e-3
-_LONGEST_M = 0.13
-_SIDES = ("left", "right")
-_SECTION_M = 25e-3
-_ALONG_M = np.arange(-4e-3, 14.5e-3, 1e-3)
-_REACH_M = (12e-3, 20e-3, 12e-3)
-_STEEPEST = 0.7
-_RADIUS_M = (1.2e-3, 11e-3)
-"""Half of the least width of pedicles: 4.5 mm in the chest to 18 mm in the loins (Zindrick 1987), with a margin."""
-_BODY_SHARE = 0.35
-_RISING_M = 3.5e-3
-"""How much higher the pedicles leave the body than its middle, and the arch hangs, together: 5.7 to 12 mm in 17 real
-vertebrae; with less it stays open which end is up, and so which side is left."""
-_WIDE_M2, _WIDE_M = 60e-6, 3e-3
-"""Hole and depth around the line from which a score is no longer lowered."""
+_PIXEL = 1e-3
+_STEP = 1e-3
+# Canals have 150 to 450 mm2; 50 to 90 % of that is seen through 17 real vertebrae.
+_CANAL_AREA = (40e-6, 900e-6)
+_ALONG = np.arange(-4e-3, 14.5e-3, 1e-3)
+_REACH_PEDICLE = (12e-3, 20e-3, 12e-3)
+_PEDICLE_RADIUS = (1.2e-3, 11e-3)  # pedicles are 4.5 to 18 mm wide (Zindrick 1987)
+_RISING = 3.5e-3  # pedicle height over the middle of the body: 5.7 to 12 mm in 17 vertebrae
+
+
+@dataclass(frozen=True, eq=False)
+class _Hole:
+    """Hole in the shadow of a bone: viewing direction, point on the axis of the hole and its area."""
+
+    axis: Array
+    point: Array
+    area: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """A vertebra's directions as columns (to its left, forward, up), a point of its canal at the height of the body
-    [m], and the middle of the narrowest section left and right of it, in these directions from that point [m]."""
+    """Directions of a vertebra as columns (left, forward, up) and a point in its canal at the height of the body."""
 
-    axes: NDArray[np.float64]
-    origin_m: NDArray[np.float64]
-    narrowest_m: tuple[NDArray[np.float64], ...]
-
-
-@dataclass(frozen=True, eq=False)
-class _Pedicle:
-    """A pedicle: its site, and the least depth of bone around its axis [m]."""
-
-    site: Site
-    radius_m: float
+    axes: Array
+    origin: Array
 
 
 def find_pedicle(surface: Surface, kind: str) -> FoundSite:
-    """Find a vertebra's pedicle: the site is where its axis comes out behind, z out along it, y up, x to the right.
-
-    Parameters
-    ----------
-    surface
-        One vertebra alone, its canal a hole through it.
-    kind
-        ``vertebra:left`` or ``vertebra:right``, of the patient; ``vertebra`` is the wider of the two, with the other as
-        its second best place.
-
-    Raises
-    ------
-    InputError
-        If the surface has no such hole, or what lies around it is no vertebra.
-    """
-    samples = sample_surface(*surface.scanned, _SAMPLES)
-    inner = _inner_points(surface)
+    """Find the canal as the largest hole seen through the bone, and the bridge of bone on each side of it."""
     longest = max(surface.report.size_mm)
-    found = canals(np.vstack([samples.points, inner])) if longest < 1e3 * _LONGEST_M else []
-    if not found:
-        raise _refused(surface, f"no hole through a bone {longest:.0f} mm long")
-    frame = _directions(surface, inner, found[0])
-    pedicles = {side: _pedicle(surface, frame, number) for number, side in enumerate(_SIDES)}
-    for side, pedicle in pedicles.items():
-        if not _RADIUS_M[0] < pedicle.radius_m < _RADIUS_M[1]:
-            raise _refused(surface, f"{2e3 * pedicle.radius_m:.1f} mm of bone {side} of the hole")
-    side = kind.partition(":")[2] or max(pedicles, key=lambda each: pedicles[each].radius_m)
-    other = next(each for each in _SIDES if each != side)
-    score, second = (_score(found[0], pedicles[each]) for each in (side, other))
-    best = pedicles[side]
+    points = _inner_points(surface)
+    canal = _canal(np.vstack([sample_surface(*surface.scanned, 15000).points, points])) if longest < 130.0 else None
+    what = "vertebra, whose canal is a hole between a body and two pedicles"
+    if canal is None:
+        raise refusal(surface, what, f"no hole through a bone {longest:.0f} mm long")
+    frame, problem = _vertebra_frame(surface, points, canal)
+    if frame is None:
+        raise refusal(surface, what, problem)
+    found = {side: _pedicle(surface, frame, sign) for side, sign in (("left", 1.0), ("right", -1.0))}
+    for side, (_, radius) in found.items():
+        if not _PEDICLE_RADIUS[0] < radius < _PEDICLE_RADIUS[1]:
+            raise refusal(surface, what, f"{2e3 * radius:.1f} mm of bone {side} of the hole")
+    side = kind.partition(":")[2] or max(found, key=lambda each: found[each][1])
+    other = "right" if side == "left" else "left"
+    site, radius = found[side]
+    second, second_radius = found[other]
+    # Scores fall for canals below 60 mm2 and for pedicles with less than 6 mm of bone.
+    certain = min(canal.area / 60e-6, 1.0)
+    score = certain * min(radius / 3e-3, 1.0)
     note = (
-        f"found by search: {side} pedicle, at least {2e3 * best.radius_m:.1f} mm of bone across its axis, "
-        f"{other} one {2e3 * pedicles[other].radius_m:.1f} mm, score {score:.2f} of 1; check it in the picture"
+        f"found by search: {side} pedicle, at least {2e3 * radius:.1f} mm of bone across its axis, {other} one "
+        f"{2e3 * second_radius:.1f} mm, score {score:.2f} of 1; check it in the picture"
     )
-    site = Site(best.site.centre_m, best.site.rotation, note)
-    if kind == "vertebra":
-        return FoundSite(site, score, second, 1e3 * pedicles[other].site.centre_m)
-    if len(found) == 1:
-        return FoundSite(site, score, 0.0, None)
-    return FoundSite(site, score, score * found[1].area_m2 / found[0].area_m2, 1e3 * found[1].point_m)
+    site = replace(site, confidence=note)
+    if kind != "vertebra":
+        return FoundSite(site, score)
+    return FoundSite(site, score, certain * min(second_radius / 3e-3, 1.0), 1e3 * second.centre_m)
 
 
-def _score(canal: Canal, pedicle: _Pedicle) -> float:
-    return min(canal.area_m2 / _WIDE_M2, 1.0) * min(pedicle.radius_m / _WIDE_M, 1.0)
-
-
-def _refused(surface: Surface, got: str) -> InputError:
-    return InputError(
-        f"file must show a vertebra, whose canal is a hole between a body and two pedicles, got {got} in "
-        f"{surface.report.source}: check anatomy.scale_mm and that it is one bone, or give anatomy.centre_mm and "
-        "anatomy.normal"
-    )
-
-
-def _inner_points(surface: Surface) -> NDArray[np.float64]:
-    """Points of a grid of 2 mm within the bone [m], shape (n, 3)."""
-    low, high = surface.vertices_m.min(axis=0), surface.vertices_m.max(axis=0)
-    axes = [np.arange(a, b, max(_GRID_M, (b - a) / 100.0)) for a, b in zip(low, high, strict=True)]
+def _inner_points(surface: Surface) -> Array:
+    """Points of a grid of 2 mm inside the bone, shape (n, 3)."""
+    low = surface.vertices_m.min(axis=0)
+    high = surface.vertices_m.max(axis=0)
+    axes = [np.arange(a, b, max(2e-3, (b - a) / 100.0)) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return grid[inside_scattered(surface.vertices_m, surface.faces, grid)]
 
 
-def _directions(surface: Surface, inner: NDArray[np.float64], canal: Canal) -> _Frame:
-    """Left, forward and up: most of the bone lies in front; the pedicles leave the body's upper half, the arch hangs.
+def _canal(points: Array) -> _Hole | None:
+    """Largest hole of plausible size seen through a bone, along the mean of the directions that show it, or None."""
+    views = [_hole(points, axis) for axis in spread((np.arange(300) + 0.5) / 300.0, np.eye(3)[2])]
+    views = [view for view in views if 0.0 < view.area < _CANAL_AREA[1]]
+    if not views:
+        return None
+    best = max(views, key=lambda view: view.area)
+    # Take the mean of the directions in which the hole is nearly as large: the largest one leans to a side.
+    for degrees in (12.0, 12.0, 6.0):
+        cone = np.cos(np.radians(degrees) * np.sqrt((np.arange(60) + 0.5) / 60.0))
+        around = [best, *(_hole(points, axis) for axis in spread(cone, best.axis))]
+        most = max(view.area for view in around)
+        axis = np.sum([view.axis for view in around if view.area > 0.9 * most], axis=0)
+        best = _hole(points, axis / np.linalg.norm(axis))
+    return best if _CANAL_AREA[0] < best.area < _CANAL_AREA[1] else None
 
-    Raises
-    ------
-    InputError
-        If there is no body in front, or no bone on a side.
+
+def _hole(points: Array, axis: Array) -> _Hole:
+    """Largest hole in the shadow of points along a direction."""
+    from scipy.ndimage import binary_closing, binary_fill_holes, label
+
+    u, v = across(axis)
+    flat = np.column_stack([points @ u, points @ v])
+    low = flat.min(axis=0) - 3.0 * _PIXEL
+    pixels = np.floor((flat - low) / _PIXEL).astype(int)
+    shadow = np.zeros(pixels.max(axis=0) + 4, dtype=bool)
+    shadow[tuple(pixels.T)] = True
+    shadow = binary_closing(shadow)
+    holes, count = label(binary_fill_holes(shadow) & ~shadow)
+    if count == 0:
+        return _Hole(axis, points[0], 0.0)
+    sizes = np.bincount(holes.ravel())[1:]
+    middle = low + _PIXEL * (np.argwhere(holes == np.argmax(sizes) + 1).mean(axis=0) + 0.5)
+    level = float(np.median(points @ axis))
+    return _Hole(axis, middle[0] * u + middle[1] * v + level * axis, float(sizes.max()) * _PIXEL**2)
+
+
+def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> tuple[_Frame | None, str]:
+    """Left, forward and up of a vertebra, or what contradicts one.
+
+    The body is in front. The pedicles leave its upper half and the arch hangs, which distinguishes up from down.
     """
-    to_middle = inner.mean(axis=0) - canal.point_m
+    to_middle = inner.mean(axis=0) - canal.point
     forward = to_middle - (to_middle @ canal.axis) * canal.axis
     forward /= np.linalg.norm(forward)
-    local = (inner - canal.point_m) @ np.column_stack([forward, canal.axis])
-    edge = 0.5 * float(np.sqrt(canal.area_m2))
-    body, arch = local[local[:, 0] > edge, 1], local[local[:, 0] < -edge, 1]
-    if len(body) < _BODY_SHARE * len(inner) or not len(arch):
-        raise _refused(surface, f"{len(body) / len(inner):.0%} of the bone in front of the hole")
-    origin = canal.point_m + float(body.mean()) * canal.axis
-    axes = np.column_stack([np.cross(forward, -canal.axis), forward, canal.axis])
-    starts = [_isthmus(surface, _Frame(axes, origin, ()), sign) for sign in (1.0, -1.0)]
-    if starts[0] is None or starts[1] is None:
-        raise _refused(surface, "no bone on a side of the hole")
-    middle = 0.5 * float(body.max() + body.min()) - float(body.mean())
-    rising = 0.5 * float(starts[0][2] + starts[1][2]) - middle - float(arch.mean() - body.mean())
-    if abs(rising) < _RISING_M:
-        raise _refused(
-            surface, f"pedicles {1e3 * abs(rising):.1f} mm off the middle of the body, as where it is cut off"
-        )
-    if rising > 0.0:
-        return _Frame(axes, origin, (starts[0], starts[1]))
-    turned = np.array([-1.0, 1.0, -1.0])
-    return _Frame(axes * turned, origin, (starts[1] * turned, starts[0] * turned))
+    in_front = (inner - canal.point) @ forward
+    height = (inner - canal.point) @ canal.axis
+    edge = 0.5 * float(np.sqrt(canal.area))
+    body = height[in_front > edge]
+    arch = height[in_front < -edge]
+    if len(body) < 0.35 * len(inner) or not len(arch):
+        return None, f"{len(body) / len(inner):.0%} of the bone in front of the hole"
+    origin = canal.point + body.mean() * canal.axis
+    frame = _Frame(np.column_stack([np.cross(canal.axis, forward), forward, canal.axis]), origin)
+    sides = [_sections(surface, frame, sign) for sign in (1.0, -1.0)]
+    if not (len(sides[0]) and len(sides[1])):
+        return None, "no bone on a side of the hole"
+    narrowest = [side[np.argmin(side[:, 3]), 2] for side in sides]
+    middle = 0.5 * (body.max() + body.min()) - body.mean()
+    rising = np.mean(narrowest) - middle - (arch.mean() - body.mean())
+    if abs(rising) < _RISING:
+        return None, f"pedicles {1e3 * abs(rising):.1f} mm off the middle of the body, as where it is cut off"
+    return (frame if rising > 0.0 else _Frame(frame.axes * (-1.0, 1.0, -1.0), origin)), ""
 
 
-def _pedicle(surface: Surface, frame: _Frame, side: int) -> _Pedicle:
-    """The left pedicle (0) or the right one (1)."""
-    from scipy.ndimage import map_coordinates
-    from scipy.optimize import minimize
+def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
+    """Centroid [m] and area [mm2] of the largest bone section beside the canal, one for each mm forward, shape (n, 4).
 
-    start, outside = frame.narrowest_m[side], 1.0 - 2.0 * side
-    axes = [centre + np.arange(-reach, reach + 1e-9, _STEP_M) for centre, reach in zip(start, _REACH_M, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    there = grid.reshape(-1, 3) @ frame.axes.T + frame.origin_m
-    depth = -triangle_distance(surface.vertices_m, surface.faces, there).reshape(grid.shape[:3])
-
-    def line(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points of a line by its place across the isthmus [mm] and its slopes, in the vertebra's directions."""
-        place = np.array([1e-3 * numbers[0], 0.0, 1e-3 * numbers[1]]) + start
-        return np.asarray(place + _ALONG_M[:, None] * np.array([numbers[2], 1.0, numbers[3]]))
-
-    def around(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        at = (line(numbers) - [axis[0] for axis in axes]) / _STEP_M
-        return np.asarray(map_coordinates(depth, at.T, order=1, mode="nearest"))
-
-    def shallow(numbers: NDArray[np.float64]) -> float:
-        found = around(numbers)
-        steep = max(float(np.abs(numbers[2:]).max()) - _STEEPEST, 0.0)
-        return -1e3 * float(found.min() + 0.01 * found.mean()) + 100.0 * steep
-
-    starts = ([0.0, 0.0, lean * outside, 0.0] for lean in (0.0, -0.3))
-    found = min((minimize(shallow, each, method="Nelder-Mead") for each in starts), key=lambda each: float(each.fun))
-    numbers = np.asarray(found.x)
-    inward = frame.axes @ np.array([numbers[2], 1.0, numbers[3]])
-    inward /= np.linalg.norm(inward)
-    middle = frame.axes @ line(numbers)[np.argmin(np.abs(_ALONG_M))] + frame.origin_m
-    radius = float(around(numbers).min())
-    return _Pedicle(_entry(surface, middle, -inward, frame.axes[:, 2]), radius)
-
-
-def _isthmus(surface: Surface, frame: _Frame, sign: float) -> NDArray[np.float64] | None:
-    """Middle of the smallest section of bone beside the canal, in the vertebra's directions [m]; None without bone."""
+    Sections that close the canal belong to the body or the arch and are left out.
+    """
     from scipy.ndimage import label
 
-    left, front = np.arange(0.5e-3, _SECTION_M, _STEP_M) * sign, np.arange(-6e-3, 12e-3, _STEP_M)
-    up = np.arange(-25e-3, 25e-3, _STEP_M)
-    grid = np.stack(np.meshgrid(left, front, up, indexing="ij"), axis=-1).reshape(-1, 3)
-    there = grid @ frame.axes.T + frame.origin_m
-    bone = inside_scattered(surface.vertices_m, surface.faces, there).reshape(len(left), len(front), len(up))
-    best: tuple[float, NDArray[np.float64]] | None = None
-    for index in range(len(front)):
-        section = bone[:, index]
-        if section[:2].any():
-            continue  # the body or the arch closes the canal there: no pedicle alone
-        pieces, count = label(section)
-        if count == 0:
-            continue
-        sizes = np.bincount(pieces.ravel())[1:]
-        number = int(np.argmax(sizes)) + 1
-        at = np.argwhere(pieces == number).mean(axis=0)
-        place = np.array([np.interp(at[0], np.arange(len(left)), left), front[index], up[0] + _STEP_M * at[1]])
-        if best is None or sizes[number - 1] < best[0]:
-            best = (float(sizes[number - 1]), place)
-    return None if best is None else best[1]
+    axes = (np.arange(0.5e-3, 25e-3, _STEP) * sign, np.arange(-6e-3, 12e-3, _STEP), np.arange(-25e-3, 25e-3, _STEP))
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    there = grid.reshape(-1, 3) @ frame.axes.T + frame.origin
+    bone = inside_scattered(surface.vertices_m, surface.faces, there).reshape(grid.shape[:3])
+    found = []
+    for k in range(len(axes[1])):
+        pieces, count = label(bone[:, k])
+        if count and not bone[:2, k].any():
+            sizes = np.bincount(pieces.ravel())[1:]
+            largest = pieces == np.argmax(sizes) + 1
+            found.append(np.append(grid[:, k][largest].mean(axis=0), sizes.max()))
+    return np.array(found).reshape(-1, 4)
 
 
-def _entry(
-    surface: Surface, middle: NDArray[np.float64], outward: NDArray[np.float64], up: NDArray[np.float64]
-) -> Site:
-    """Site where the line from within a pedicle outward first leaves the bone."""
-    y = up - (up @ outward) * outward
-    y /= np.linalg.norm(y)
-    rotation = np.column_stack([np.cross(y, outward), y, outward])
-    found = column_crossings(
-        (surface.vertices_m - middle) @ rotation, surface.faces, np.array([1e-9]), np.array([1e-9])
-    )
-    leaving = found.height[(found.entering < 0) & (found.height > 0.0)]
-    height = float(leaving.min()) if len(leaving) else 0.0
-    return Site(middle + height * outward, rotation, "")
+def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]:
+    """Site where the axis of a pedicle leaves the bone behind, and the least depth of bone around 18 mm of the axis.
+
+    The axis is the line with the most bone around it, which a surgeon drills along.
+    """
+    from scipy.optimize import minimize
+
+    sections = _sections(surface, frame, sign)
+    start = sections[np.argmin(sections[:, 3]), :3]
+
+    def line(numbers: Array) -> Array:
+        """Points of the line with an offset [mm] and slopes across the narrowest section."""
+        place = start + 1e-3 * np.array([numbers[0], 0.0, numbers[1]])
+        points = place + _ALONG[:, None] * np.array([numbers[2], 1.0, numbers[3]])
+        return np.asarray(points @ frame.axes.T + frame.origin)
+
+    def cost(numbers: Array) -> float:
+        # Slopes above 0.7 leave the pedicle; the mean decides between lines of equal least depth.
+        steep = max(float(np.abs(numbers[2:]).max()) - 0.7, 0.0)
+        outside = triangle_distance(surface.vertices_m, surface.faces, line(numbers))
+        return 1e3 * float(outside.max() + 0.01 * outside.mean()) + 100.0 * steep
+
+    tried = [minimize(cost, [0.0, 0.0, slope * sign, 0.0], method="Nelder-Mead") for slope in (0.0, -0.3)]
+    points = line(min(tried, key=lambda each: float(each.fun)).x)
+    radius = -float(triangle_distance(surface.vertices_m, surface.faces, points).max())
+    outward = points[0] - points[-1]
+    outward /= np.linalg.norm(outward)
+    rotation = axes_along(outward, np.cross(frame.axes[:, 2], outward).tolist())
+    middle = points[np.argmin(np.abs(_ALONG))]
+    height = exits(surface, middle, rotation)
+    return Site(middle + height[height > 0.0].min(initial=np.inf) * outward, rotation, ""), radius

@@ -79,7 +79,8 @@ def is_manifold(faces: NDArray[np.int64]) -> bool:
     if len(faces) == 0:
         return False
     count = int(faces.max()) + 1
-    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    start = faces.ravel()
+    end = np.roll(faces, -1, axis=1).ravel()
     upward = start < end
     edges = np.sort(start[upward] * count + end[upward])
     if (edges[1:] == edges[:-1]).any():
@@ -146,7 +147,9 @@ def orient(
     volumes = np.bincount(body, weights=_volumes(vertices, faces), minlength=count)
     inside_out = 0
     if volumes.sum() < 0.0:
-        volumes, inside_out, faces = -volumes, count, faces[:, ::-1].copy()
+        volumes = -volumes
+        inside_out = count
+        faces = faces[:, ::-1].copy()
     if count == 1:
         return faces, int(turned.sum()), inside_out, float(volumes.sum())
     corners = [vertices[faces[body == k].ravel()] for k in range(count)]

@@ -1,4 +1,4 @@
-"""The working site on a bone surface: its centre and its axes."""
+"""The working site on a bone surface: its centre and its axes, and samples of the surface around it."""
 
 from __future__ import annotations
 
@@ -10,19 +10,32 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, in_brackets, require_direction, require_vector
 from meshes.base.placement import Placement
-from meshes.surfaces.glenoid_search import Face, SurfaceSamples, best_seeds, grow_face, sample_surface
+from meshes.base.simplices import cross_products
+from meshes.surfaces.repair import triangle_areas
 from meshes.surfaces.surface import Surface
 from meshes.voxels.column_crossings import column_crossings
 
-__all__ = ["FoundSite", "Site", "axes_along", "find_glenoid", "place_site", "search_glenoid", "site_along"]
+__all__ = [
+    "FACE_SAMPLES",
+    "FoundSite",
+    "Site",
+    "SurfaceSamples",
+    "across",
+    "axes_along",
+    "exits",
+    "normal_near",
+    "place_site",
+    "refusal",
+    "sample_surface",
+    "site_along",
+    "spread",
+]
 
-_SAMPLES, _FACE_SAMPLES = 8000, 40000
-_LEAST_SCORE = 0.25
-_WIDTH_M, _LENGTH_M = (18e-3, 36e-3), (26e-3, 48e-3)
+FACE_SAMPLES = 40_000
+"""Samples of a surface from which a site takes its normal: 0.5 mm apart on a scapula."""
 _FARTHEST_M = 10e-3
-_FLAT_M = 0.2
 _AROUND_M = 3e-3
-_LEAST_ACROSS = 0.02
+_LEAST_ACROSS = 0.02  # sine of the smallest angle between x and the normal: one degree
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,74 +73,81 @@ class Site:
 
 @dataclass(frozen=True, eq=False)
 class FoundSite:
-    """A site that was searched for.
+    """Result of a search.
 
     Attributes
     ----------
     site
-        The best place.
+        Best site.
     score
-        How well it fits, 0 to 1.
+        Quality of the match, 0 to 1.
     second_score
-        Score of the best place well apart from it; 0 where there is none that fits at all.
+        Score of the best place well apart from the site, 0 if no other place matches.
     second_centre_mm
-        That place [mm] in the frame of the surface, shape (3,); None where there is none.
+        That place [mm] in the frame of the surface, shape (3,), or None.
     """
 
     site: Site
     score: float
-    second_score: float
-    second_centre_mm: NDArray[np.float64] | None
+    second_score: float = 0.0
+    second_centre_mm: NDArray[np.float64] | None = None
 
 
-def find_glenoid(
-    surface: Surface, *, centre_mm: Sequence[float] | None = None, along: Sequence[float] | None = None
-) -> Site:
-    """Find the plane of a scapula's glenoid, and the glenoid itself where its centre is not given.
+@dataclass(frozen=True, eq=False)
+class SurfaceSamples:
+    """Points spread evenly over a surface.
 
-    Parameters
+    Attributes
     ----------
-    surface
-        A scapula.
-    centre_mm
-        Its centre [mm] in the frame of the file after scaling; moved along the normal onto the surface. None: searched
-        for.
-    along
-        Direction that becomes x, projected onto the face, any length. None: y is superior.
-
-    Raises
-    ------
-    InputError
-        If nothing on the surface looks like a glenoid, the centre is off the surface, or `along` is normal to the face.
+    points, normals
+        Positions [m] and outward unit normals, shape (n, 3).
+    area
+        Surface area that each point stands for [m2].
     """
-    if centre_mm is not None:
-        samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
-        centre = require_vector("anatomy.centre_mm", centre_mm) * 1e-3
-        near = int(np.argmin(np.linalg.norm(samples.points - centre, axis=1)))
-        normal = grow_face(samples, samples.points[near], samples.normals[near]).normal
-        return _site(surface, centre, normal, along, "centre as given, normal of the face around it")
-    return search_glenoid(surface, along=along).site
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    area: float
 
 
-def search_glenoid(surface: Surface, *, along: Sequence[float] | None = None) -> FoundSite:
-    """Search a scapula for its glenoid; `along` and errors as in `find_glenoid`."""
-    best, second = best_seeds(sample_surface(*surface.scanned, _SAMPLES))
-    score = best.score
-    face = grow_face(sample_surface(*surface.scanned, _FACE_SAMPLES), best.point_m, best.normal)
-    plausible = _WIDTH_M[0] <= face.width_m <= _WIDTH_M[1] and _LENGTH_M[0] <= face.length_m <= _LENGTH_M[1]
-    if score < _LEAST_SCORE or not plausible:
-        raise InputError(
-            f"file must show a glenoid of about 28 x 37 mm, got none in {surface.report.source} (best "
-            "face "
-            f"{_size(face)}, score {score:.2f}): check anatomy.scale_mm, or give anatomy.centre_mm and "
-            "anatomy.normal"
-        )
-    radius = face.curvature_radius_m
-    bend = "concave" if radius > 0.0 else "convex"
-    shape = "flat" if abs(radius) > _FLAT_M else f"{bend}, radius {1e3 * abs(radius):.0f} mm"
-    note = f"found by search: face {_size(face)}, {shape}, score {score:.2f} of 1; check it in the picture"
-    site = _site(surface, face.centre_m, face.normal, along, note, face.long_axis)
-    return FoundSite(site, score, second.score, None if second.score == 0.0 else 1e3 * second.point_m)
+def sample_surface(vertices: NDArray[np.float64], faces: NDArray[np.int64], count: int) -> SurfaceSamples:
+    """Spread `count` points evenly by area, the same ones every time (Kronecker sequence within the triangles)."""
+    total = np.cumsum(triangle_areas(vertices, faces))
+    chosen = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
+    chosen = np.minimum(chosen, len(faces) - 1)
+    shares = np.modf(np.arange(count)[:, None] * np.array([0.7548776662466927, 0.5698402909980532]))[0]
+    outside = shares.sum(axis=1) > 1.0  # in the other half of the parallelogram
+    shares[outside] = 1.0 - shares[outside]
+    u, v = shares.T
+    a, b, c = (vertices[faces[chosen, k]] for k in range(3))
+    points = a + u[:, None] * (b - a) + v[:, None] * (c - a)
+    cross = cross_products(vertices, faces[chosen])
+    return SurfaceSamples(points, cross / np.linalg.norm(cross, axis=1)[:, None], float(total[-1]) / count)
+
+
+def refusal(surface: Surface, what: str, got: str) -> InputError:
+    """Error of a search that did not find its landmark."""
+    return InputError(
+        "file",
+        f"show a {what}",
+        f"{got} in {surface.report.source}",
+        "check its unit and that it is one bone, or give a centre and a normal",
+    )
+
+
+def across(axis: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Two unit vectors at right angles to an axis and to each other."""
+    u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    u /= np.linalg.norm(u)
+    return u, np.cross(axis, u)
+
+
+def spread(heights: NDArray[np.floating], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors on a golden-angle spiral, given their cosines with an axis, shape (n, 3)."""
+    u, v = across(axis)
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(len(heights))
+    around = np.outer(np.cos(angle), u) + np.outer(np.sin(angle), v)
+    return heights[:, None] * axis + np.sqrt(1.0 - heights**2)[:, None] * around
 
 
 def place_site(
@@ -156,37 +176,49 @@ def place_site(
     InputError
         If the centre is off the surface, a direction is zero, or `along` is along the normal.
     """
-    centre, note = require_vector("anatomy.centre_mm", centre_mm) * 1e-3, "centre and normal as given"
+    centre = require_vector("anatomy.centre_mm", centre_mm) * 1e-3
+    note = "centre and normal as given"
     if normal is None:
-        samples = sample_surface(*surface.scanned, _FACE_SAMPLES)
-        axis, note = _normal_near(samples, centre), "centre as given, normal of the surface around it"
+        samples = sample_surface(*surface.scanned, FACE_SAMPLES)
+        axis = normal_near(samples, centre)
+        note = "centre as given, normal of the surface around it"
     else:
         axis = require_direction("anatomy.normal", normal, "give the outward direction")
-    return _site(surface, centre, axis, along, note if along is None else f"{note}, x along the direction given")
+    if along is not None:
+        note = f"{note}, x along the direction given"
+    return site_along(surface, centre, axis, note, along)
 
 
-def site_along(surface: Surface, centre_m: NDArray[np.float64], normal: NDArray[np.float64], note: str) -> Site:
-    """Site where the line through a point [m] along a unit normal leaves the bone, y away from the bone's middle.
+def site_along(
+    surface: Surface,
+    centre: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    note: str,
+    along: Sequence[float] | None = None,
+    long_axis: NDArray[np.float64] | None = None,
+) -> Site:
+    """Site where the line through a point [m] along a unit normal leaves the bone.
+
+    Parameters
+    ----------
+    surface
+        The bone.
+    centre, normal
+        Point [m] and unit normal, shapes (3,).
+    note
+        How the site was found.
+    along
+        Direction that becomes x. None: y leads along `long_axis`, if any, and away from the middle of the bone.
+    long_axis
+        Direction of y, sign arbitrary.
 
     Raises
     ------
     InputError
-        If the line leaves the bone nowhere within 10 mm of the point.
+        If the line leaves the bone nowhere within 10 mm of the point, or `along` is along the normal.
     """
-    return _site(surface, centre_m, normal, None, note)
-
-
-def _site(
-    surface: Surface,
-    centre: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    along: Sequence[float] | None,
-    note: str,
-    long_axis: NDArray[np.float64] | None = None,
-) -> Site:
-    """Site where the normal through a point leaves the bone; x along a direction, or y away from the bone's middle."""
     if along is None:
-        middle = sample_surface(*surface.scanned, _FACE_SAMPLES).points.mean(axis=0)
+        middle = sample_surface(*surface.scanned, FACE_SAMPLES).points.mean(axis=0)
         rotation = _axes(normal, middle - centre, long_axis)
     else:
         rotation = axes_along(normal, along)
@@ -202,18 +234,20 @@ def axes_along(normal: NDArray[np.float64], along: Sequence[float]) -> NDArray[n
         If `along` is zero or within a degree of the normal.
     """
     direction = require_direction("anatomy.along", along, "give a direction across the normal")
-    across = direction - (direction @ normal) * normal
-    if np.linalg.norm(across) < _LEAST_ACROSS:
+    projected = direction - (direction @ normal) * normal
+    if np.linalg.norm(projected) < _LEAST_ACROSS:
         raise InputError(
-            f"anatomy.along must lead across the normal {in_brackets(normal, '.4g')}, got "
-            f"{in_brackets(direction, '.4g')}: give a direction in the plane of the site"
+            "anatomy.along",
+            f"lead across the normal {in_brackets(normal, '.4g')}",
+            in_brackets(direction, ".4g"),
+            "give a direction in the plane of the site",
         )
-    x = across / np.linalg.norm(across)
+    x = projected / np.linalg.norm(projected)
     return np.column_stack([x, np.cross(normal, x), normal])
 
 
-def _normal_near(samples: SurfaceSamples, centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean normal of the samples around the one nearest to a point that face its direction."""
+def normal_near(samples: SurfaceSamples, centre: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean unit normal of the surface within 3 mm of its point nearest to `centre` [m], shape (3,)."""
     distance = np.linalg.norm(samples.points - centre, axis=1)
     nearest = int(np.argmin(distance))
     around = np.linalg.norm(samples.points - samples.points[nearest], axis=1) < _AROUND_M
@@ -236,27 +270,29 @@ def _axes(
     elif np.linalg.norm(away) > 1e-6:
         y = away
     else:
-        y = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+        y, _ = across(normal)
     y = y / np.linalg.norm(y)
     return np.column_stack([np.cross(y, normal), y, normal])
 
 
+def exits(surface: Surface, point: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heights over a point along the z of `rotation` at which that line leaves the bone [m], shape (k,)."""
+    on_line = np.array([1e-9])  # off the axis, where edges of symmetric meshes lie
+    found = column_crossings((surface.vertices_m - point) @ rotation, surface.faces, on_line, on_line)
+    return found.height[found.entering < 0]
+
+
 def _on_surface(surface: Surface, centre: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """Point where the axis through `centre` leaves the bone, the nearest such within 10 mm."""
-    points = (surface.vertices_m - centre) @ rotation
-    found = column_crossings(points, surface.faces, np.array([1e-9]), np.array([1e-9]))
-    leaving = found.height[found.entering < 0]
+    leaving = exits(surface, centre, rotation)
     nearest = float(leaving[np.argmin(np.abs(leaving))]) if len(leaving) else np.inf
     if abs(nearest) > _FARTHEST_M:
         vertex = surface.vertices_m[np.argmin(np.linalg.norm(surface.vertices_m - centre, axis=1))]
         given, corner = (in_brackets(1e3 * point, ".4g") for point in (centre, vertex))
         raise InputError(
-            f"anatomy.centre_mm must lie within 10 mm of the surface along the normal, got {given} in "
-            f"{surface.report.source}: give a point on the face, in mm in the frame of the file; the nearest corner is "
-            f"{corner}"
+            "anatomy.centre_mm",
+            "lie within 10 mm of the surface along the normal",
+            f"{given} in {surface.report.source}",
+            f"give a point on the face, in mm in the frame of the file; the nearest corner is {corner}",
         )
     return centre + nearest * rotation[:, 2]
-
-
-def _size(face: Face) -> str:
-    return f"{1e3 * face.width_m:.1f} x {1e3 * face.length_m:.1f} mm"

@@ -23,7 +23,8 @@ _FLATTEST = 1e-3
 _TURNED = "Turned the surface outward: it was wound inward."
 _FARTHEST = 1e100
 """Coordinates beyond it count as not finite: their squares overflow."""
-_SMALLEST_MM, _LARGEST_MM = 1.0, 1000.0
+_SMALLEST_MM = 1.0
+_LARGEST_MM = 1000.0
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
 _CENTIMETRES = (6.0, 60.0)
 _INCH_MM = 25.4
@@ -139,12 +140,13 @@ def surface_from_triangles(
     InputError
         As in `read_surface`.
     """
-    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    vertices = np.asarray(vertices, dtype=np.float64)
+    faces = np.asarray(faces, dtype=np.int64)
     require_triangles(vertices, faces, source)
     if not -_FARTHEST < vertices.min() <= vertices.max() < _FARTHEST:
         bad = int((~(np.abs(vertices) < _FARTHEST).all(axis=1)).sum())
         raise InputError(
-            f"vertices must be finite, got {bad} of {len(vertices)} that are not in {source}: export it again"
+            "vertices", "be finite", f"{bad} of {len(vertices)} that are not in {source}", "export it again"
         )
     used, _ = compact(vertices, faces)
     longest = max(_sides(used))
@@ -157,7 +159,10 @@ def surface_from_triangles(
     vertices, faces, volume, repairs, turned, caps, scanned = found
     if volume <= (0.0 if every_piece else 1e-6 * longest**3):
         raise InputError(
-            f"surface must enclose a solid, got {1e9 * volume:.3g} mm3 inside {source}: close it in a mesh editor"
+            "surface",
+            "enclose a solid",
+            f"{1e9 * volume:.3g} mm3 inside {source}",
+            "close it in a mesh editor",
         )
     x, y, z = (1e3 * side for side in _sides(vertices))
     report = SurfaceReport(source, scale, guess, (x, y, z), 1e9 * volume, tuple(repairs), turned)
@@ -186,12 +191,16 @@ def _repaired(
         if inside_out:
             repairs.append(_TURNED)
         return vertices, faces, volume, repairs, inside_out, (), len(faces)
-    counts, scanned = edge_counts(faces), len(faces)
+    counts = edge_counts(faces)
+    scanned = len(faces)
     (vertices, faces), holes = fill_holes(vertices, faces, _HOLE_AREA, least_cap=_CAP_M2)
     if holes.large and not cut_off:
         raise InputError(
-            f"surface must enclose a solid, got {counts[0]} open and {counts[1]} non-manifold edges in "
-            f"{source}, the largest hole {1e6 * holes.largest_area:.3g} mm2: close it in a mesh editor"
+            "surface",
+            "enclose a solid",
+            f"{counts[0]} open and {counts[1]} non-manifold edges in {source}, the largest hole "
+            f"{1e6 * holes.largest_area:.3g} mm2",
+            "close it in a mesh editor",
         )
     faces, _, outward, volume = orient(vertices, faces)
     if inside_out + outward:
@@ -211,7 +220,7 @@ def _require_thickness(points: NDArray[np.float64], longest: float, source: str)
     covariance = np.cov(points.T, bias=True)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
     if not longest > 0.0 or spread[0] < _FLATTEST * spread[2]:
-        raise InputError(f"surface must have thickness, got a flat one in {source}: use a closed surface")
+        raise InputError("surface", "have thickness", f"a flat one in {source}", "use a closed surface")
 
 
 def _sides(points: NDArray[np.float64]) -> list[float]:
@@ -233,8 +242,10 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
         scale = require_positive("anatomy.scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
         if not _SMALLEST_MM <= longest * scale <= _LARGEST_MM:
             raise InputError(
-                f"anatomy.scale_mm must make the longest side 1 mm to 1 m, got {scale:g}, which makes "
-                f"{source} {_length(longest * scale)} long: use about {suggestion:g}"
+                "anatomy.scale_mm",
+                "make the longest side 1 mm to 1 m",
+                f"{scale:g}, which makes {source} {_length(longest * scale)} long",
+                f"use about {suggestion:g}",
             )
         return scale, f"{scale:g} mm per unit, as given: the longest side is {longest * scale:.4g} mm"
     for name, scale, lowest, highest in _UNITS:
@@ -247,10 +258,11 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
                 guess += f" ({others}: set anatomy.scale_mm to be sure)"
             return scale, guess
     raise InputError(
-        f"anatomy.scale_mm must be given where the unit is not plain, got none for {source}, whose "
-        "longest side "
-        f"{longest:.3g} would be {_length(longest)} in millimetres and {_length(1e3 * longest)} in "
-        f"metres: use millimetres per unit, for example {suggestion:g}"
+        "anatomy.scale_mm",
+        "be given where the unit is not plain",
+        f"none for {source}, whose longest side {longest:.3g} would be {_length(longest)} in millimetres and "
+        f"{_length(1e3 * longest)} in metres",
+        f"use millimetres per unit, for example {suggestion:g}",
     )
 
 

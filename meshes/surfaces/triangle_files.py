@@ -16,7 +16,8 @@ from meshes.surfaces.repair import Triangles
 __all__ = ["SURFACE_SUFFIXES", "read_triangles", "require_triangles"]
 
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
-_HEADER, _RECORD = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_HEADER = 84
+_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 """Of binary STL: bytes before the triangles, and what each holds."""
 _IGNORED = frozenset(("vt", "vn", "vp", "p", "l", "g", "s", "mg", "o", "usemtl", "mtllib", "usemap", "maplib", "lod"))
 _IGNORED |= {"bevel", "c_interp", "d_interp", "shadow_obj", "trace_obj", "ctech", "stech", "call", "csh", "deg", "bmat"}
@@ -35,8 +36,7 @@ def read_triangles(file: Path) -> Triangles:
     """
     if file.suffix.lower() not in SURFACE_SUFFIXES:
         raise InputError(
-            f"file must end in {', '.join(SURFACE_SUFFIXES)}, got {file.name}: convert it, or read a "
-            "volume with read_image"
+            "file", f"end in {', '.join(SURFACE_SUFFIXES)}", file.name, "convert it, or read a volume with read_image"
         )
     require_file(file, "a surface")
     vertices, faces = (np.asarray(array) for array in _stored(file))
@@ -66,7 +66,7 @@ def _stored(file: Path) -> tuple[NDArray[np.number], NDArray[np.number]]:
         return mesh.vertices, mesh.faces
     except Exception as problem:  # the readers raise many kinds, none documented
         raise InputError(
-            f"file must be a readable {kind} surface, got {file.name} (it is damaged or cut off): export it again"
+            "file", f"be a readable {kind} surface", f"{file.name} (it is damaged or cut off)", "export it again"
         ) from problem
 
 
@@ -74,20 +74,26 @@ def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], s
     """Refuse triangles that are none, or that name vertices which are not there."""
     if len(vertices) == 0 or len(faces) == 0:
         raise InputError(
-            f"file must hold triangles, got {len(vertices)} vertices and {len(faces)} triangles in "
-            f"{source}: export the surface as triangles"
+            "file",
+            "hold triangles",
+            f"{len(vertices)} vertices and {len(faces)} triangles in {source}",
+            "export the surface as triangles",
         )
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
         raise InputError(
-            f"file must hold triangles in space, got vertices of shape {vertices.shape} and faces of shape "
-            f"{faces.shape} in {source}: export it again"
+            "file",
+            "hold triangles in space",
+            f"vertices of shape {vertices.shape} and faces of shape {faces.shape} in {source}",
+            "export it again",
         )
     count = len(vertices)
     if faces.min() < 0 or faces.max() >= count:
         face, corner = np.argwhere((faces < 0) | (faces >= count))[0]
         raise InputError(
-            f"faces must name vertices 0 to {count - 1} of the file, got {faces[face, corner]} in face {face} of "
-            f"{source}, counted from 0: export it again"
+            "faces",
+            f"name vertices 0 to {count - 1} of the file",
+            f"{faces[face, corner]} in face {face} of {source}, counted from 0",
+            "export it again",
         )
 
 
@@ -103,8 +109,10 @@ def _read_binary_stl(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]
             payload = max(size - _HEADER, 0) // _RECORD.itemsize
             stated = f"{count} triangles in its header" if size >= _HEADER else "a part of its header"
             raise InputError(
-                f"file must be a whole STL surface, got {stated} and {payload} of them in {file.name}: it is cut off "
-                "or damaged, export it again"
+                "file",
+                "be a whole STL surface",
+                f"{stated} and {payload} of them in {file.name}",
+                "it is cut off or damaged, export it again",
             )
         records = np.fromfile(stored, dtype=_RECORD, count=count)
     return records["corners"].reshape(-1, 3).astype(np.float64), np.arange(3 * count).reshape(-1, 3)
@@ -122,8 +130,10 @@ def _require_whole_ply(file: Path) -> None:
     if stated != found:
         counted = f"{stated} lines" if stated >= 0 else "a count that is none"
         raise InputError(
-            f"file must be a readable PLY surface, got {counted} in the header and {found} after it in {file.name}: "
-            "export it again"
+            "file",
+            "be a readable PLY surface",
+            f"{counted} in the header and {found} after it in {file.name}",
+            "export it again",
         )
 
 
@@ -143,8 +153,7 @@ def _read_obj(file: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
                 raise ValueError("begins with no keyword of the format")
         except ValueError as problem:
             raise InputError(
-                f"file must be a readable OBJ surface, got line {number} of {file.name}, which {problem}: export it "
-                "again"
+                "file", "be a readable OBJ surface", f"line {number} of {file.name}, which {problem}", "export it again"
             ) from None
     return _arrays(vertices, polygons, file.name)
 
@@ -179,8 +188,10 @@ def _arrays(
     if most >= len(vertices):
         first = next(number for number, polygon in enumerate(polygons, 1) if max(polygon) >= len(vertices))
         raise InputError(
-            f"faces must name vertices 1 to {len(vertices)} of the file, got {max(polygons[first - 1]) + 1} in face "
-            f"{first} of {name}: export it again"
+            "faces",
+            f"name vertices 1 to {len(vertices)} of the file",
+            f"{max(polygons[first - 1]) + 1} in face {first} of {name}",
+            "export it again",
         )
     triangles = [(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)]
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(triangles, dtype=np.int64).reshape(-1, 3)

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.isolated_parser import Answer
 
-__all__ = ["check_vtk", "read_vtk", "vtk_mesh", "vtk_triangles"]
+__all__ = ["check_vtk", "mesh_arrays", "read_vtk", "vtk_mesh", "vtk_triangles"]
 
-_TETRAHEDRON, _QUADRATIC_TETRAHEDRON = 10, 24
+_TETRAHEDRON = 10
+_QUADRATIC_TETRAHEDRON = 24
 _CORNERS = {
     1: 1,
     3: 2,
@@ -85,7 +86,8 @@ def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
         if missing:
             raise DamagedFileError(f"{name} lacks {missing[0]} over its cells")
         if "layer" in wanted and data.n_cells:
-            layers, names = np.asarray(data.cell_data["layer"]), data.field_data.get("layer_names", ())
+            layers = np.asarray(data.cell_data["layer"])
+            names = data.field_data.get("layer_names", ())
             if layers.dtype.kind not in "iu" or layers.min() < 0 or layers.max() >= len(names):
                 raise DamagedFileError(f"{name} has layers without a name")
     return {}, {}
@@ -97,26 +99,29 @@ def vtk_triangles(file: Path) -> Answer:
 
 
 def vtk_mesh(file: Path) -> Answer:
-    """Arrays ``points`` and ``tets`` with arrays over them, or else ``points`` and ``triangles``.
-
-    Facts besides tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some had more than
-    corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``, ... here; ``parts``, the texts of
-    the field ``part_names``.
-    """
+    """Arrays of the mesh in a file, as of `mesh_arrays`."""
     import pyvista
 
     data = read_vtk(file)
-    if isinstance(data, pyvista.MultiBlock):
-        data = data.combine()
-    kinds = np.asarray(data.celltypes) if isinstance(data, pyvista.UnstructuredGrid) else np.zeros(0)
+    return mesh_arrays(data.combine() if isinstance(data, pyvista.MultiBlock) else data)
+
+
+def mesh_arrays(data: Any) -> Answer:
+    """Arrays ``points`` and ``tets`` with arrays over them, or else ``points`` and ``triangles``.
+
+    Facts of tetrahedra: ``others``, the number of cells that are not; ``quadratic``, whether some had more than
+    corners; ``names`` of the arrays over them, which are ``cells 0``, ``cells 1``, ... here; ``parts``, the texts of
+    the field ``part_names``.
+    """
+    kinds = np.asarray(getattr(data, "celltypes", ()))
     if not np.isin(kinds, (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON)).any():
         return {}, _triangles(data)
     by_kind = data.cells_dict
     present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in by_kind]
     order = np.concatenate([np.flatnonzero(kinds == kind) for kind in present])
     tets = np.concatenate([np.asarray(by_kind[kind])[:, :4] for kind in present]).astype(np.int64)
-    names = [name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biuf"]
-    arrays: dict[str, NDArray[np.number]] = {"points": np.asarray(data.points), "tets": tets}
+    names = [name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biufU"]
+    arrays: dict[str, Any] = {"points": np.asarray(data.points), "tets": tets}
     arrays |= {f"cells {i}": np.asarray(data.cell_data[name])[order] for i, name in enumerate(names)}
     parts = np.asarray(data.field_data["part_names"]) if "part_names" in data.field_data else np.zeros(0)
     facts = {
@@ -157,13 +162,17 @@ def _require_cells(cells: Any, file: Path, point_count: int, kinds: NDArray[np.i
         if len(short):
             k = short[0]
             raise InputError(
-                f"cells of VTK type {kinds[k]} must have {expected[k]} points, got {sizes[k]} in cell {k} of "
-                f"{file.name}, counted from 0: export it again"
+                f"cells of VTK type {kinds[k]}",
+                f"have {expected[k]} points",
+                f"{sizes[k]} in cell {k} of {file.name}, counted from 0",
+                "export it again",
             )
     wrong = np.flatnonzero((points < 0) | (points >= point_count))
     if len(wrong):
         cell = int(np.searchsorted(offsets, wrong[0], side="right")) - 1
         raise InputError(
-            f"cells must name points 0 to {point_count - 1} of the file, got {points[wrong[0]]} in cell {cell} of "
-            f"{file.name}, counted from 0: export it again"
+            "cells",
+            f"name points 0 to {point_count - 1} of the file",
+            f"{points[wrong[0]]} in cell {cell} of {file.name}, counted from 0",
+            "export it again",
         )

@@ -43,18 +43,22 @@ def bisected(
     InputError
         If a wanted edge is not positive, or the mesh would pass five million tetrahedra.
     """
-    nodes, cells, part = mesh.nodes_m, mesh.cells, mesh.part
+    nodes = mesh.nodes_m
+    cells = mesh.cells
+    part = mesh.part
     if onto is not None:
         nodes = _moved(nodes, cells, mesh.surface_nodes, onto)
     while True:
         ends = np.sort(cells[:, EDGES], axis=2)
         keys, edge = np.unique(ends.reshape(-1, 2) @ np.array([len(nodes), 1]), return_inverse=True)
-        a, b = keys // len(nodes), keys % len(nodes)
-        middle, length = 0.5 * (nodes[a] + nodes[b]), np.linalg.norm(nodes[a] - nodes[b], axis=1)
+        a = keys // len(nodes)
+        b = keys % len(nodes)
+        middle = 0.5 * (nodes[a] + nodes[b])
+        length = np.linalg.norm(nodes[a] - nodes[b], axis=1)
         wanted = size_m(middle)
         if not (wanted > 0.0).all():
             raise InputError(
-                f"size_m must be positive everywhere, got {1e3 * wanted.min():.4g} mm: use a hundredth of the body"
+                "size_m", "be positive everywhere", f"{1e3 * wanted.min():.4g} mm", "use a hundredth of the body"
             )
         rank = np.empty(len(keys), dtype=np.int64)
         # Ties go by number, the same for every tetrahedron.
@@ -76,12 +80,15 @@ def bisected(
             return TetMesh(nodes, cells, part, mesh.part_names)
         if len(cells) + len(halved) > _MOST_CELLS:
             raise InputError(
-                f"size_m must leave at most {_MOST_CELLS} tetrahedra, got edges of {1e3 * wanted.min():.4g} mm: "
-                "use longer ones"
+                "size_m",
+                f"leave at most {_MOST_CELLS} tetrahedra",
+                f"edges of {1e3 * wanted.min():.4g} mm",
+                "use longer ones",
             )
         number = len(nodes) + np.cumsum(split) - 1
         nodes = np.concatenate([nodes, middle[split]])
-        cells, part = np.concatenate([cells, cells[halved]]), np.concatenate([part, part[halved]])
+        cells = np.concatenate([cells, cells[halved]])
+        part = np.concatenate([part, part[halved]])
         first, second = EDGES[place[halved]].T
         copies = np.arange(len(cells) - len(halved), len(cells))
         cells[halved, second] = cells[copies, first] = number[longest[halved]]
@@ -95,7 +102,8 @@ def _moved(
     nodes: NDArray[np.float64], cells: NDArray[np.int64], chosen: NDArray[np.int64], onto: Move
 ) -> NDArray[np.float64]:
     """Nodes with the chosen ones on the surface, but for those whose move would flatten a tetrahedron."""
-    moved, before = nodes.copy(), signed_volumes(nodes, cells)
+    moved = nodes.copy()
+    before = signed_volumes(nodes, cells)
     moved[chosen] = onto(nodes[chosen])
     while (flat := signed_volumes(moved, cells) < _LEAST_VOLUME * before).any():
         back = np.unique(cells[flat])

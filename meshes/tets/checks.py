@@ -3,9 +3,21 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from meshes.base.errors import in_brackets
 from meshes.base.simplices import directed_edges
 
-__all__ = ["EDGES", "FACES", "cell_faces", "flatness", "mean_ratio", "pieces", "pinched_edges", "signed_volumes"]
+__all__ = [
+    "EDGES",
+    "FACES",
+    "cell_faces",
+    "flatness",
+    "mean_ratio",
+    "millimetres",
+    "pieces",
+    "pinched_edges",
+    "place",
+    "signed_volumes",
+]
 
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 """Corners of the edges of a tetrahedron."""
@@ -56,7 +68,8 @@ def pieces(cells: Cells) -> NDArray[np.int64]:
     from scipy.sparse.csgraph import connected_components
 
     where = cell_faces(cells)[1]
-    owner, face = np.repeat(np.arange(len(cells)), 4), len(cells) + where
+    owner = np.repeat(np.arange(len(cells)), 4)
+    face = len(cells) + where
     links = coo_array((np.ones(len(owner), dtype=np.int8), (owner, face)), shape=(face.max() + 1,) * 2)
     _, label = connected_components(links, directed=False)
     return np.unique(label[: len(cells)], return_inverse=True)[1]
@@ -71,3 +84,14 @@ def pinched_edges(surface: Cells) -> NDArray[np.int64]:
 def _edge_squares(nodes: Nodes, cells: Cells) -> NDArray[np.float64]:
     """Squared length of each edge, shape (6, m)."""
     return np.stack([((nodes[cells[:, i]] - nodes[cells[:, j]]) ** 2).sum(axis=1) for i, j in EDGES])
+
+
+def millimetres(points_m: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Mean of points [m], shape (n, 3), in mm."""
+    x, y, z = 1e3 * points_m.mean(axis=0)
+    return float(x), float(y), float(z)
+
+
+def place(at_mm: tuple[float, ...]) -> str:
+    """Place [mm] as a person reads it."""
+    return in_brackets(at_mm, ".3g")

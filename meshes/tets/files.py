@@ -1,29 +1,44 @@
 """A soft organ from a file: tetrahedra as stored, or a surface filled with them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, by, require_file, require_positive
+from meshes.base.errors import InputError, by, names_of_caller, require_file, require_positive
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.surface import Surface, surface_from_triangles
+from meshes.surfaces.vtk_reading import mesh_arrays
 from meshes.tets.msh import StoredMesh, part_name, read_msh
 from meshes.tets.quality import repair_tets
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 
-__all__ = ["MOST_PARTS", "PART_ARRAYS", "TetFile", "read_stored", "read_tets"]
+__all__ = [
+    "MOST_PARTS",
+    "PART_ARRAYS",
+    "GivenTets",
+    "TetFile",
+    "given_tets",
+    "read_stored",
+    "read_tets",
+    "require_millimetres",
+]
 
 _ORGAN_MM = (20.0, 450.0)
 _TYPICAL_MM = 200.0
 _UNITS = ((1.0, "millimetres"), (1000.0, "metres"))
-PART_ARRAYS = ("gmsh:physical", "medit:ref", "part", "parts", "region", "regions", "MaterialIds", "material", "label")
+PART_ARRAYS = ("part", "gmsh:physical", "medit:ref", "parts", "region", "regions", "MaterialIds", "material", "label")
 """Arrays of integers over the cells that give the parts, by the names that meshers write, the likeliest first."""
 MOST_PARTS = 64
 """An array of more values than these is no list of parts."""
+SIZES_MM = (1.5, 1500.0)
+"""Longest side of what is pressed [mm]: below it a size in metres is likelier, beyond it one in micrometres."""
+_NO_FACES = np.zeros((0, 3), dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +94,7 @@ def read_tets(
     used = stored.points[np.unique(stored.tets if len(stored.tets) else stored.triangles)]
     bad = int((~np.isfinite(used).all(axis=1)).sum())
     if bad:
-        raise InputError(f"nodes must be finite, got {bad} of {len(used)} that are not in {file.name}: export it again")
+        raise InputError("nodes", "be finite", f"{bad} of {len(used)} that are not in {file.name}", "export it again")
     scale, why = _unit(np.ptp(used, axis=0), unit_mm, file.name)
     if len(stored.tets):
         values, part = np.unique(stored.part, return_inverse=True)
@@ -106,9 +121,10 @@ def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[
                 sides = by(scale * size, ".3g")
                 return scale, f"{name} names no unit and was taken to be in {unit}: {sides} mm."
         raise InputError(
-            f"anatomy.scale_mm must be given where the unit is not plain, got none for {name}, whose box of "
-            f"{by(size, '.3g')} is an organ neither in millimetres nor in metres: give millimetres per unit, "
-            f"{_TYPICAL_MM / longest:.2g} would make it {_TYPICAL_MM:g} mm long"
+            "anatomy.scale_mm",
+            "be given where the unit is not plain",
+            f"none for {name}, whose box of {by(size, '.3g')} is an organ neither in millimetres nor in metres",
+            f"give millimetres per unit, {_TYPICAL_MM / longest:.2g} would make it {_TYPICAL_MM:g} mm long",
         )
     scale = require_positive("anatomy.scale_mm", unit_mm, "use 1 for millimetres, 1000 for metres")
     note = f"{name} was read at {scale:g} mm per unit, as given: {by(scale * size, '.3g')} mm"
@@ -120,24 +136,171 @@ def _unit(size: NDArray[np.float64], unit_mm: float | None, name: str) -> tuple[
 def _from_vtk(file: Path) -> StoredMesh:
     """A file as pyvista reads it."""
     remedy = "export it as .vtu, .vtk, .msh or .stl"
-    facts, arrays = parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy)
+    found = _of_arrays(
+        *parse_isolated("meshes.surfaces.vtk_reading:vtk_mesh", file, what="mesh", remedy=remedy), file.name
+    )
+    if len(found.tets) == 0 and len(found.triangles) == 0:
+        raise InputError("file", "hold tetrahedra or triangles", f"none in {file.name}", "export it again")
+    return found
+
+
+def _of_arrays(facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str) -> StoredMesh:
+    """Mesh of what `meshes.surfaces.vtk_reading.mesh_arrays` returns."""
     none = np.zeros((0, 4), dtype=np.int64)
-    points, triangles = arrays["points"].astype(np.float64), arrays.get("triangles", none[:, :3])
-    tets, names = arrays.get("tets", none), facts.get("names", [])
-    if len(tets) == 0 and len(triangles) == 0:
-        raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: export it again")
-    part, notes = np.zeros(len(tets), dtype=np.int64), []
+    tets = arrays.get("tets", none)
     known: dict[int, str] = {}
-    for name in PART_ARRAYS:
-        values = arrays[f"cells {names.index(name)}"] if name in names else np.zeros(0)
-        whole = values.ndim == 1 and len(values) > 0 and bool(np.isfinite(values).all())
-        if whole and (values == np.round(values)).all() and len(np.unique(values)) <= MOST_PARTS:
-            part = values.astype(np.int64)
-            for number, text in enumerate(facts.get("parts", []) if name == "part" else []):
-                known[number] = part_name(text, known, f"part_names of {file.name}", "write them again")
-            break
+    for number, text in enumerate(facts.get("parts", [])):
+        known[number] = part_name(text, known, f"part_names of {source}", "write them again")
+    data = {name: arrays[f"cells {number}"] for number, name in enumerate(facts.get("names", []))}
+    part, names = _parts(data, len(tets), known)
+    notes = []
     if facts.get("others"):
         notes.append(f"Left out {facts['others']} cells that are not tetrahedra.")
     if facts.get("quadratic"):
         notes.append("Took the corners of quadratic tetrahedra: their edges became straight.")
-    return StoredMesh(points, tets.astype(np.int64), triangles.astype(np.int64), part, known, tuple(notes))
+    points = arrays["points"].astype(np.float64)
+    return StoredMesh(points, tets, arrays.get("triangles", none[:, :3]), part, names, tuple(notes))
+
+
+@dataclass(frozen=True, eq=False)
+class GivenTets:
+    """A mesh as the caller has it, and as it is solved.
+
+    Attributes
+    ----------
+    points_mm
+        Points as the caller numbers them [mm], shape (n, 3).
+    mesh
+        Tetrahedra, repaired where they had to be [m].
+    sentences
+        What was found and done, a sentence each.
+    """
+
+    points_mm: NDArray[np.float64]
+    mesh: TetMesh
+    sentences: tuple[str, ...]
+
+
+def given_tets(
+    mesh: object, *, scale_mm: float | None = None, part_names: Mapping[int, str] | None = None
+) -> GivenTets:
+    """Tetrahedra of whatever holds them.
+
+    Parameters
+    ----------
+    mesh
+        `TetMesh`, pyvista UnstructuredGrid, anything with ``points`` and ``cells`` as of meshio, points and cells as a
+        pair of arrays, shapes (n, 3) and (m, 4), or a file (.vtu .vtk .msh .mesh). The parts are an array over the
+        cells named ``part`` or as meshers name them, of numbers or of names.
+    scale_mm
+        Millimetres per unit of the mesh; None: it is in millimetres, which its size must bear out.
+    part_names
+        Names of numbered parts.
+
+    Raises
+    ------
+    InputError
+        If it holds no tetrahedra, is of another unit by its size, or cannot be repaired.
+    """
+    if isinstance(mesh, TetMesh):
+        return GivenTets(1e3 * mesh.nodes_m, mesh, ())
+    stored = _stored(mesh)
+    if not len(stored.tets):
+        raise InputError("mesh", "hold tetrahedra", "none", "fill a surface by from_surface")
+    used = np.unique(stored.tets)
+    inside = used[0] >= 0 and used[-1] < len(stored.points)
+    if not inside or not np.isfinite(stored.points[used]).all():
+        raise InputError("mesh", "hold finite points for all cells", "others", "export it again")
+    scale = require_millimetres("mesh", stored.points[used], scale_mm)
+    values, part = np.unique(stored.part, return_inverse=True)
+    if len(values) > MOST_PARTS:
+        raise InputError("mesh", f"have at most {MOST_PARTS} parts", len(values), "join some")
+    names = stored.names | dict(part_names or {})
+    known = tuple(names.get(int(v), f"part {v}") for v in values) if len(values) > 1 else ("body",)
+    with names_of_caller(dict.fromkeys(("nodes", "nodes_m", "cells"), "mesh")):
+        repaired, report = repair_tets(1e-3 * scale * stored.points, stored.tets, part.reshape(-1), known)
+    return GivenTets(scale * stored.points, repaired, (*stored.notes, *report.sentences()))
+
+
+def require_millimetres(name: str, points: NDArray[np.float64], scale_mm: float | None) -> float:
+    """Millimetres per unit of points, shape (n, 3): as given, or 1 where their size is one in millimetres.
+
+    Raises
+    ------
+    InputError
+        If it is not, naming the scale that would do.
+    """
+    if scale_mm is not None:
+        return require_positive("scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
+    sides = np.ptp(points, axis=0)
+    if not SIZES_MM[0] <= float(sides.max()) <= SIZES_MM[1]:
+        unit, scale = ("metres", 1000) if sides.max() < SIZES_MM[0] else ("micrometres", 0.001)
+        raise InputError(
+            name,
+            "be in millimetres",
+            f"one of {by(sides, '.3g')}, which looks like {unit}",
+            f"give scale_mm={scale}, or scale_mm=1 if that is its size",
+        )
+    return 1.0
+
+
+def _stored(mesh: object) -> StoredMesh:
+    """Points, tetrahedra and parts of whatever holds them."""
+    if isinstance(mesh, str | Path):
+        with names_of_caller({"file": "mesh"}):
+            return read_stored(Path(mesh))
+    if hasattr(mesh, "celltypes") and hasattr(mesh, "cell_data"):
+        return _of_arrays(*mesh_arrays(mesh), "mesh")
+    if hasattr(mesh, "points") and hasattr(mesh, "cells"):
+        return _of_blocks(mesh)
+    if isinstance(mesh, tuple | list) and len(mesh) == 2:
+        points, cells = (np.asarray(each) for each in mesh)
+        if points.ndim == 2 and points.shape[1] == 3 and cells.ndim == 2 and cells.shape[1] == 4:
+            return StoredMesh(
+                points.astype(np.float64), cells.astype(np.int64), _NO_FACES, np.zeros(len(cells), int), {}
+            )
+        raise InputError(
+            "mesh",
+            "be points of shape (n, 3) and cells of shape (m, 4)",
+            f"{points.shape} and {cells.shape}",
+            "give the four corners of each tetrahedron",
+        )
+    raise InputError(
+        "mesh",
+        "be a grid of pyvista, a mesh of meshio, points and cells, or a file",
+        type(mesh).__name__,
+        "wrap arrays as (points, cells)",
+    )
+
+
+def _of_blocks(mesh: Any) -> StoredMesh:
+    """Tetrahedra of a mesh of meshio: blocks of cells with a type, arrays over them by name."""
+    chosen = [k for k, block in enumerate(mesh.cells) if block.type in ("tetra", "tetra10")]
+    tets = [np.asarray(mesh.cells[k].data)[:, :4] for k in chosen]
+    if not tets:
+        return StoredMesh(np.zeros((0, 3)), np.zeros((0, 4), int), _NO_FACES, np.zeros(0, int), {})
+    data = {name: np.concatenate([np.asarray(rows[k]) for k in chosen]) for name, rows in mesh.cell_data.items()}
+    solids = {int(row[0]): name for name, row in (getattr(mesh, "field_data", None) or {}).items() if int(row[1]) == 3}
+    cells = np.concatenate(tets).astype(np.int64)
+    part, names = _parts(data, len(cells), solids)
+    return StoredMesh(np.asarray(mesh.points, dtype=np.float64), cells, _NO_FACES, part, names)
+
+
+def _parts(
+    data: Mapping[str, NDArray[Any]], count: int, named: dict[int, str]
+) -> tuple[NDArray[np.int64], dict[int, str]]:
+    """Number of each cell's part, shape (m,), and the names of the numbers.
+
+    Names that count from 0 belong to the array ``part``; so do those of meshio to its ``gmsh:physical``.
+    """
+    for array in PART_ARRAYS:
+        values = data.get(array, np.zeros(0))
+        if values.shape != (count,) or not count:
+            continue
+        if values.dtype.kind in "USO":
+            names, part = np.unique(values.astype(str), return_inverse=True)
+            return part.reshape(-1), dict(enumerate(names.tolist()))
+        whole = np.isfinite(values).all() and (values == np.round(values)).all()
+        if whole and len(np.unique(values)) <= MOST_PARTS:
+            return values.astype(np.int64), named
+    return np.zeros(count, dtype=np.int64), {}

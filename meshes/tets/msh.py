@@ -13,7 +13,8 @@ from meshes.base.visible_text import visible
 
 __all__ = ["StoredMesh", "part_name", "read_msh"]
 
-_TRIANGLE, _TETRAHEDRON = 2, 4
+_TRIANGLE = 2
+_TETRAHEDRON = 4
 _LONGEST_NAME = 60
 _OPENINGS = {"$NOD": 1, "$MeshFormat": 2}
 
@@ -63,11 +64,13 @@ def read_msh(file: Path) -> StoredMesh:
         form = lines[1].split() if len(lines) > 1 else []
         if len(form) < 2 or not form[0].startswith("2") or form[1] != "0":
             raise InputError(
-                f"file must be Gmsh text of version 1 or 2, got version {' '.join(form[:2])} in {file.name}: save it "
-                "with gmsh -format msh22"
+                "file",
+                "be Gmsh text of version 1 or 2",
+                f"version {' '.join(form[:2])} in {file.name}",
+                "save it with gmsh -format msh22",
             )
     if version == 0:
-        raise InputError(f"file must be Gmsh text of version 1 or 2, got neither in {file.name}: export it again")
+        raise InputError("file", "be Gmsh text of version 1 or 2", f"neither in {file.name}", "export it again")
     try:
         numbers, points = _nodes(_section(lines, "$NOD" if version == 1 else "$Nodes"))
         elements = [
@@ -85,7 +88,7 @@ def read_msh(file: Path) -> StoredMesh:
         raise
     except (ValueError, IndexError, OverflowError) as problem:
         raise InputError(
-            f"file must hold whole sections of nodes and elements, got a broken one in {file.name}: export it again"
+            "file", "hold whole sections of nodes and elements", f"a broken one in {file.name}", "export it again"
         ) from problem
     order = np.argsort(numbers)
     places = []
@@ -93,10 +96,10 @@ def read_msh(file: Path) -> StoredMesh:
         found = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
         if (numbers[found] != wanted).any():
             unknown = int(wanted[numbers[found] != wanted][0])
-            raise InputError(f"elements must name nodes of the file, got {unknown} in {file.name}: export it again")
+            raise InputError("elements", "name nodes of the file", f"{unknown} in {file.name}", "export it again")
         places.append(found)
     if len(tets) == 0 and len(triangles) == 0:
-        raise InputError(f"file must hold tetrahedra or triangles, got none in {file.name}: mesh it in Gmsh first")
+        raise InputError("file", "hold tetrahedra or triangles", f"none in {file.name}", "mesh it in Gmsh first")
     left = len(elements) - len(tets)
     notes = (f"Left out {left} elements that are not tetrahedra.",) if left and len(tets) else ()
     return StoredMesh(points, places[0], places[1], np.array(part, dtype=np.int64), names, notes)
@@ -154,7 +157,9 @@ def part_name(text: str, known: Mapping[int, str], what: str, remedy: str) -> st
     shown = visible(text).replace("\n", " ").strip()
     if not shown or len(shown) > _LONGEST_NAME or shown in known.values() or shown == "none":
         raise InputError(
-            f"{what} must have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none', got "
-            f"{shown[:_LONGEST_NAME]!r}: {remedy}"
+            what,
+            f"have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none'",
+            f"{shown[:_LONGEST_NAME]!r}",
+            remedy,
         )
     return shown

@@ -14,20 +14,123 @@ pinched edges   surface edges of more than two triangles               kept and 
 ==============  =====================================================  ================================================
 """
 
+from dataclasses import dataclass
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, by
 from meshes.base.simplices import compact, windings
-from meshes.tets.checks import cell_faces, flatness, mean_ratio, pieces, pinched_edges, signed_volumes
-from meshes.tets.report import FLAT, SLIVER, TetReport, millimetres, place
-from meshes.tets.smoothing import smooth
+from meshes.tets.checks import (
+    cell_faces,
+    flatness,
+    mean_ratio,
+    millimetres,
+    pieces,
+    pinched_edges,
+    place,
+    signed_volumes,
+)
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["FLAT", "SLIVER", "TetReport", "repair_tets"]
+__all__ = ["FLAT", "SLIVER", "TetReport", "repair_tets", "smooth"]
 
 _DEBRIS = 0.01
 _COINCIDENT = 1e-9
+FLAT = 1e-6
+"""Six volumes over the longest edge cubed below which a tetrahedron is flat (0.71: regular)."""
+SLIVER = 0.1
+"""Mean ratio below which a tetrahedron is a sliver (1: regular)."""
+_UNEVEN = 1e-3
+_DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+_SWEEPS = 3
+_FIRST_STEP = 0.25
+_SMALLEST_STEP = 0.004
+
+
+@dataclass(frozen=True, eq=False)
+class TetReport:
+    """What was found in a tetrahedral mesh and done to it; places in mm in the frame of the mesh, empty if nowhere.
+
+    Attributes
+    ----------
+    mesh
+        The mesh returned.
+    joined_nodes, repeated_cells
+        Coincident nodes joined, cells dropped because another has the same nodes.
+    inverted, inverted_at_mm, flat_dropped, flat_moved
+        Cells turned and where the first was, flat cells dropped, flat cells given volume.
+    debris_mm3
+        Volume of each piece dropped.
+    slivers, sliver_at_mm, nodes_moved
+        Slivers found, where the worst was, inner nodes moved.
+    """
+
+    mesh: TetMesh
+    joined_nodes: int
+    repeated_cells: int
+    inverted: int
+    inverted_at_mm: tuple[float, ...]
+    flat_dropped: int
+    flat_moved: int
+    debris_mm3: tuple[float, ...]
+    slivers: int
+    sliver_at_mm: tuple[float, ...]
+    nodes_moved: int
+
+    @property
+    def slivers_left(self) -> int:
+        """Slivers in the mesh returned."""
+        return int((mean_ratio(self.mesh.nodes_m, self.mesh.cells) < SLIVER).sum())
+
+    def sentences(self) -> tuple[str, ...]:
+        """What was found and done, a sentence each; the first describes the mesh itself."""
+        nodes = self.mesh.nodes_m
+        cells = self.mesh.cells
+        volumes = self.mesh.volumes_m3
+        quality = mean_ratio(nodes, cells)
+        pinched = pinched_edges(self.mesh.surface)
+        bodies = pieces(cells).max() + 1
+        worst, smallest = (place(millimetres(nodes[cells[each.argmin()]])) for each in (quality, volumes))
+        share = float(volumes.min() / volumes.max())
+        found = [
+            (
+                True,
+                f"{len(cells)} tetrahedra on {len(nodes)} nodes, {1e6 * volumes.sum():.4g} ml, "
+                f"{by(1e3 * np.ptp(nodes, axis=0), '.3g')} mm, lowest mean ratio {quality.min():.2g} at {worst} mm.",
+            ),
+            (
+                share < _UNEVEN,
+                f"The smallest tetrahedron, at {smallest} mm, has 1/{1.0 / share:.0f} of the volume of the largest.",
+            ),
+            (
+                self.inverted,
+                f"Turned {self.inverted} inverted tetrahedra, the first at {place(self.inverted_at_mm)} mm.",
+            ),
+            (self.joined_nodes, f"Joined or dropped {self.joined_nodes} nodes that coincide or are unused."),
+            (self.repeated_cells, f"Dropped {self.repeated_cells} tetrahedra that repeat another."),
+            (self.flat_dropped, f"Dropped {self.flat_dropped} flat tetrahedra at the surface."),
+            (self.flat_moved, f"Gave volume to {self.flat_moved} flat tetrahedra inside by moving their nodes."),
+            (
+                self.debris_mm3,
+                f"Dropped {len(self.debris_mm3)} loose pieces of {sum(self.debris_mm3):.3g} mm3 together, the largest "
+                f"{max(self.debris_mm3, default=0.0):.3g} mm3.",
+            ),
+            (bodies > 1, f"The mesh is {bodies} bodies not linked by faces: each needs its own support."),
+            (
+                self.slivers,
+                f"Found {self.slivers} slivers (mean ratio below {SLIVER:g}), the worst at "
+                f"{place(self.sliver_at_mm)} mm; moving {self.nodes_moved} inner nodes left {self.slivers_left}.",
+            ),
+        ]
+        notes = [sentence for is_so, sentence in found if is_so]
+        if len(pinched):
+            notes.append(
+                f"Kept {len(pinched)} surface edges of more than two triangles (pinched, as at "
+                f"{place(millimetres(nodes[pinched[0]]))} mm): stresses there mean little."
+            )
+        return tuple(notes)
 
 
 def repair_tets(
@@ -52,14 +155,17 @@ def repair_tets(
     InputError
         If nodes are not finite, cells name none or overlap, or flat tetrahedra cannot be repaired.
     """
-    nodes, tets = np.asarray(nodes_m, dtype=np.float64), np.asarray(cells, dtype=np.int64)
+    nodes = np.asarray(nodes_m, dtype=np.float64)
+    tets = np.asarray(cells, dtype=np.int64)
     parts = np.zeros(len(tets), dtype=np.uint8) if part is None else np.asarray(part, dtype=np.uint8)
     _require_numbers(nodes, tets)
     given = nodes.shape[0], tets.shape[0]
     nodes, tets = _joined(nodes, tets)
     keep = np.sort(np.unique(np.sort(tets, axis=1), axis=0, return_index=True)[1])
-    joined, repeated = given[0] - len(nodes), given[1] - len(keep)
-    tets, parts = tets[keep], parts[keep]
+    joined = given[0] - len(nodes)
+    repeated = given[1] - len(keep)
+    tets = tets[keep]
+    parts = parts[keep]
     inverted = (signed_volumes(nodes, tets) < 0.0) & (flatness(nodes, tets) >= FLAT)
     inverted_at = _centre_mm(nodes, tets, inverted.argmax()) if inverted.any() else ()
     tets = np.where(inverted[:, None], tets[:, [0, 2, 1, 3]], tets)
@@ -117,7 +223,9 @@ def _without_flat(
         keep = ~candidates
         if not candidates.any() or not keep.any() or not _whole(cells, keep):
             return cells, parts, dropped
-        cells, parts, dropped = cells[keep], parts[keep], dropped + int(candidates.sum())
+        cells = cells[keep]
+        parts = parts[keep]
+        dropped = dropped + int(candidates.sum())
 
 
 def _flat_turned(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -160,7 +268,8 @@ def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> 
     """Nodes inside, away from the surface and from where parts meet, shape (n,)."""
     inner = np.ones(count, dtype=bool)
     inner[_surface(cells)] = False
-    lowest, highest = np.full(count, 255, dtype=np.uint8), np.zeros(count, dtype=np.uint8)
+    lowest = np.full(count, 255, dtype=np.uint8)
+    highest = np.zeros(count, dtype=np.uint8)
     np.minimum.at(lowest, cells, parts[:, None])
     np.maximum.at(highest, cells, parts[:, None])
     return inner & (lowest == highest)
@@ -168,14 +277,14 @@ def _movable(count: int, cells: NDArray[np.int64], parts: NDArray[np.uint8]) -> 
 
 def _require_numbers(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
     if len(cells) == 0 or cells.ndim != 2 or cells.shape[1] != 4:
-        raise InputError(f"cells must be tetrahedra, got an array of shape {cells.shape}: mesh the solid first")
+        raise InputError("cells", "be tetrahedra", f"an array of shape {cells.shape}", "mesh the solid first")
     if cells.min() < 0 or cells.max() >= len(nodes):
         raise InputError(
-            f"cells must name nodes 0 to {len(nodes) - 1}, got {cells.min()} to {cells.max()}: write the mesh again"
+            "cells", f"name nodes 0 to {len(nodes) - 1}", f"{cells.min()} to {cells.max()}", "write the mesh again"
         )
     bad = int((~np.isfinite(nodes[np.unique(cells)]).all(axis=1)).sum())
     if bad:
-        raise InputError(f"nodes must be finite, got {bad} of {len(nodes)} that are not: write the mesh again")
+        raise InputError("nodes", "be finite", f"{bad} of {len(nodes)} that are not", "write the mesh again")
 
 
 def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
@@ -185,16 +294,20 @@ def _require_no_overlap(nodes: NDArray[np.float64], cells: NDArray[np.int64]) ->
     if len(crowded):
         at = place(_centre_mm(nodes, triangles, crowded[0]))
         raise InputError(
-            f"cells must meet two at a face, got {len(np.unique(where[crowded]))} faces of more, the first at {at} mm: "
-            "mesh the surface again"
+            "cells",
+            "meet two at a face",
+            f"{len(np.unique(where[crowded]))} faces of more, the first at {at} mm",
+            "mesh the surface again",
         )
     agree = np.bincount(where, weights=windings(triangles))
     folded = np.flatnonzero((shared == 2) & (np.abs(agree[where]) == 2))
     if len(folded):
         at = place(_centre_mm(nodes, triangles, folded[0]))
         raise InputError(
-            f"cells must not overlap, got {len(folded) // 2} faces with both cells on one side, the first at {at} mm: "
-            "the mesh folds over itself, mesh the surface again"
+            "cells",
+            "not overlap",
+            f"{len(folded) // 2} faces with both cells on one side, the first at {at} mm",
+            "the mesh folds over itself, mesh the surface again",
         )
 
 
@@ -204,6 +317,83 @@ def _require_volume(nodes: NDArray[np.float64], cells: NDArray[np.int64]) -> Non
     if len(bad):
         at = place(_centre_mm(nodes, cells, bad[0]))
         raise InputError(
-            f"cells must have volume, got {len(bad)} flat tetrahedra of {len(cells)} that neither dropping nor moving "
-            f"nodes repairs, the first at {at} mm: mesh the surface again"
+            "cells",
+            "have volume",
+            f"{len(bad)} flat tetrahedra of {len(cells)} that neither dropping nor moving nodes repairs, the first at "
+            f"{at} mm",
+            "mesh the surface again",
         )
+
+
+def smooth(
+    nodes: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    movable: NDArray[np.bool_],
+    enough: float,
+) -> tuple[NDArray[np.float64], int]:
+    """Move nodes of cells worse than `enough` by pattern search on the worst mean ratio around each.
+
+    A move is kept only where the worst cell around the node improves, so no cell falls below the worst one next to it.
+
+    Parameters
+    ----------
+    nodes, cells
+        Nodes, shape (n, 3), and cells, shape (m, 4).
+    movable
+        Whether a node may move, shape (n,).
+    enough
+        Mean ratio from which a cell is left alone.
+
+    Returns
+    -------
+    Nodes, shape (n, 3), and how many of them moved.
+    """
+    nodes = nodes.copy()
+    order = np.argsort(cells.ravel(), kind="stable")
+    starts = np.searchsorted(cells.ravel()[order], np.arange(len(nodes) + 1))
+    moved: set[int] = set()
+    for _ in range(_SWEEPS):
+        quality = mean_ratio(nodes, cells)
+        bad = np.flatnonzero(quality < enough)
+        # Worst cells first: what they gain, their neighbours start from.
+        wanted = cells[bad[np.argsort(quality[bad])]].ravel()
+        wanted = wanted[np.sort(np.unique(wanted, return_index=True)[1])]
+        changed = 0
+        for node in wanted[movable[wanted]]:
+            star = cells[order[starts[node] : starts[node + 1]] // 4]
+            best = _best_place(nodes, star, int(node), enough)
+            if best is not None:
+                nodes[node] = best
+                moved.add(int(node))
+                changed += 1
+        if not changed:
+            break
+    return nodes, len(moved)
+
+
+def _best_place(
+    nodes: NDArray[np.float64], star: NDArray[np.int64], node: int, enough: float
+) -> NDArray[np.float64] | None:
+    """Where the worst of the cells around a node is best; None where it is already."""
+    corners = nodes[star]
+    slot = star == node
+    here = nodes[node]
+    size = float(np.abs(corners - here).max())
+    score = float(mean_ratio(nodes, star).min())
+    if score >= enough:
+        return None
+    start = here
+    step = _FIRST_STEP
+    centre = corners[~slot].mean(axis=0)
+    while step > _SMALLEST_STEP:
+        tries = np.concatenate([here + step * size * _DIRECTIONS, here + np.array([[0.5], [1.0]]) * (centre - here)])
+        moved = np.where(slot[None, :, :, None], tries[:, None, None, :], corners[None])
+        flat = moved.reshape(-1, 3)
+        worst = mean_ratio(flat, np.arange(len(flat)).reshape(-1, 4)).reshape(len(tries), -1).min(axis=1)
+        best = int(worst.argmax())
+        if worst[best] > score + 1e-6:
+            here = tries[best]
+            score = float(worst[best])
+        else:
+            step *= 0.5
+    return None if here is start else here

@@ -30,7 +30,8 @@ def nodes_behind_plane(mesh: TetMesh, *, point_m: Sequence[float], normal: Seque
     InputError
         If none is, naming how far the nearest is.
     """
-    point, axis = require_vector("point_m", point_m), require_direction("normal", normal)
+    point = require_vector("point_m", point_m)
+    axis = require_direction("normal", normal)
     points = mesh.nodes_m[mesh.surface_nodes]
     away = (points - point) @ axis
     chosen = mesh.surface_nodes[away <= 1e-9 * float(np.ptp(mesh.nodes_m, axis=0).max())]  # a margin for rounding
@@ -38,8 +39,10 @@ def nodes_behind_plane(mesh: TetMesh, *, point_m: Sequence[float], normal: Seque
         nearest = int(away.argmin())
         at, found = (in_brackets(1e3 * each, ".3g") for each in (point, points[nearest]))
         raise InputError(
-            f"support must touch the body, got the plane through {at} mm with no surface node inside: the nearest, at "
-            f"{found} mm, is {1e3 * away[nearest]:.3g} mm away"
+            "support",
+            "touch the body",
+            f"the plane through {at} mm with no surface node inside",
+            f"the nearest, at {found} mm, is {1e3 * away[nearest]:.3g} mm away",
         )
     return chosen
 
@@ -58,8 +61,10 @@ def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float
     faces = mesh.surface[angle <= within]
     if not len(faces):
         raise InputError(
-            f"support must touch the body, got no surface within {within:g} degrees of {axis.tolist()}: the nearest is "
-            f"{angle.min():.3g} degrees away"
+            "support",
+            "touch the body",
+            f"no surface within {within:g} degrees of {axis.tolist()}",
+            f"the nearest is {angle.min():.3g} degrees away",
         )
     return np.unique(faces)
 
@@ -73,10 +78,10 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
         If the mesh has no such part, or no cell of it.
     """
     if name not in mesh.part_names:
-        raise InputError(f"part must be one of {', '.join(mesh.part_names)}, got {name}: use one of them")
+        raise InputError("part", f"be one of {', '.join(mesh.part_names)}", name, "use one of them")
     cells = mesh.cells[mesh.part == mesh.part_names.index(name)]
     if not len(cells):
-        raise InputError(f"part must have cells, got none of {name}: use a finer mesh or another part")
+        raise InputError("part", "have cells", f"none of {name}", "use a finer mesh or another part")
     return np.unique(cells)
 
 

@@ -29,7 +29,7 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
     axes = [np.asarray(axis, dtype=np.float64) for axis in (x_m, y_m, z_m)]
     for name, axis in zip(("x_m", "y_m", "z_m"), axes, strict=True):
         if axis.ndim != 1 or len(axis) < 2 or not (np.diff(axis) > 0.0).all():
-            raise InputError(f"{name} must hold at least two rising positions, got {axis}: use np.linspace(0, 1, 5)")
+            raise InputError(name, "hold at least two rising positions", axis, "use np.linspace(0, 1, 5)")
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return TetMesh(nodes, _kuhn([len(axis) - 1 for axis in axes]))
 
@@ -37,7 +37,7 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
 def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
     """Box from the origin to `size_m` [m], shape (3,), of `cells` bricks along each axis, six tetrahedra each."""
     if len(cells) != 3 or min(cells) < 1:
-        raise InputError(f"cells must be three numbers of at least 1, got {tuple(cells)}: use (4, 4, 4)")
+        raise InputError("cells", "be three numbers of at least 1", tuple(cells), "use (4, 4, 4)")
     sides = [require_length("size_m", side, 0.0, math.inf, 0.05) for side in size_m]
     return grid(*(np.linspace(0.0, side, count + 1) for side, count in zip(sides, cells, strict=True)))
 
@@ -54,9 +54,9 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> NDArr
     """
     distance = abs(end_m - start_m)
     if not 0.0 < first_m <= distance:
-        raise InputError(f"first_m must be in (0, {distance:g}], got {first_m}: use a tenth of the distance")
+        raise InputError("first_m", f"be in (0, {distance:g}]", first_m, "use a tenth of the distance")
     if not growth >= 1.0:
-        raise InputError(f"growth must be at least 1, got {growth}: use 1.2")
+        raise InputError("growth", "be at least 1", growth, "use 1.2")
     steps = [first_m]
     while sum(steps) < distance * (1.0 - 1e-12):
         steps.append(steps[-1] * growth)

@@ -13,21 +13,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_length
-from meshes.base.simplices import compact
+from meshes.base.simplices import compact, cross_products
 from meshes.shapes.sdf import Shape
+from meshes.tets.bisection import Move, bisected
 from meshes.tets.checks import EDGES, mean_ratio, signed_volumes
 from meshes.tets.tetrahedra import TetMesh
+from meshes.voxels.mesh_sampling import triangle_distance
 
-__all__ = ["cut_by", "stuffed", "with_part"]
+__all__ = ["EDGE_GROWTH", "area_of", "cut_by", "stuffed", "with_inclusion", "with_part"]
 
 Distance = Callable[[NDArray[np.float64]], NDArray[np.floating]]
 Cells = NDArray[np.int64]
 Points = NDArray[np.float64]
-
 _SNAP = 0.3
 _LEAST_QUALITY = 0.15
 _STEPS = 6
 _MOST_CELLS = 20_000_000
+EDGE_GROWTH = 0.5
+"""Growth of the edges with the distance from where they are fine, as in scenes."""
+_EDGES = 3.0
+"""Edges across a ball, or two across a tube: quadratic ones bend with it."""
+_TRIES = 4
+_CLOSE = 0.01
+"""Meshes of an inclusion that are tried, and the share of its volume that is close enough: of those that are the one
+with the best worst cell is kept, else the nearest."""
 
 
 def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
@@ -48,15 +57,18 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     longest = max(np.subtract(shape.upper_m, shape.lower_m))
     advised = longest / 20.0 if math.isfinite(longest) else 1e-3
     spacing = require_length("spacing_m", spacing_m, 0.0, math.inf, advised)
-    lower, upper = np.array(shape.lower_m), np.array(shape.upper_m)
+    lower = np.array(shape.lower_m)
+    upper = np.array(shape.upper_m)
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
-        raise InputError("shape must have an end in every direction, got an endless one: intersect it with a box")
+        raise InputError("shape", "have an end in every direction", "an endless one", "intersect it with a box")
     if 12.0 * np.prod((upper - lower) / spacing + 2.0) > _MOST_CELLS:
         # Twelve tetrahedra a cube, and a tenth more for the cubes around the body.
         possible = 1.1 * float(12.0 * np.prod(upper - lower) / _MOST_CELLS) ** (1.0 / 3.0)
         raise InputError(
-            f"spacing_m must leave at most {_MOST_CELLS} tetrahedra, got {1e3 * spacing:.4g} mm: "
-            f"use {1e3 * possible:.2g} mm or more"
+            "spacing_m",
+            f"leave at most {_MOST_CELLS} tetrahedra",
+            f"{1e3 * spacing:.4g} mm",
+            f"use {1e3 * possible:.2g} mm or more",
         )
     nodes, cells = _lattice(lower - 1.01 * spacing, upper + spacing, spacing)
     near = shape.distance(nodes) < 1.5 * spacing
@@ -64,8 +76,10 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     nodes, cells, within, _ = cut_by(nodes, cells, shape.distance)
     if not within.any():
         raise InputError(
-            f"spacing_m must be below the size of the shape, got {1e3 * spacing:.4g} mm: "
-            f"use {1e3 * advised:.2g} mm or less"
+            "spacing_m",
+            "be below the size of the shape",
+            f"{1e3 * spacing:.4g} mm",
+            f"use {1e3 * advised:.2g} mm or less",
         )
     return TetMesh(*compact(nodes, cells[within]))
 
@@ -81,7 +95,7 @@ def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
     nodes, cells, within, came = cut_by(mesh.nodes_m, mesh.cells, shape.distance)
     within &= mesh.part[came] == 0
     if not within.any():
-        raise InputError(f"{name} must hold cells of the mesh, got none: use a finer mesh, or move it inside")
+        raise InputError(name, "hold cells of the mesh", "none", "use a finer mesh, or move it inside")
     part = np.where(within, len(mesh.part_names), mesh.part[came]).astype(np.uint8)
     return TetMesh(nodes, cells, part, (*mesh.part_names, name))
 
@@ -145,7 +159,8 @@ def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> 
     if len(plus) == 3:
         return _prism(plus, [at(p, minus[0]) for p in plus])
     p, q = plus
-    cp, cq = at(p, minus[0]), at(q, minus[0])
+    cp = at(p, minus[0])
+    cq = at(q, minus[0])
     if min(p, cq) < min(q, cp):
         return [[p, q, cq, zero[0]], [p, cq, cp, zero[0]]]
     return [[q, cq, cp, zero[0]], [q, cp, p, zero[0]]]
@@ -168,13 +183,15 @@ def _snapped(
 ) -> tuple[Points, NDArray[np.float64]]:
     """Nodes within a share of a crossed edge of the surface moved onto the nearest crossing, where no cell suffers."""
     _, pairs = _crossed_edges(cells, np.sign(value).astype(np.int64))
-    node, point = pairs.T.ravel(), np.tile(_crossings(nodes, value, pairs, distance), (2, 1))
+    node = pairs.T.ravel()
+    point = np.tile(_crossings(nodes, value, pairs, distance), (2, 1))
     length = np.tile(np.linalg.norm(nodes[pairs[:, 1]] - nodes[pairs[:, 0]], axis=1), 2)
     away = np.linalg.norm(point - nodes[node], axis=1)
     nearest = np.argsort(away, kind="stable")
     nearest = nearest[(away < _SNAP * length)[nearest]]
     chosen, first = np.unique(node[nearest], return_index=True)
-    moved, value = nodes.copy(), value.copy()
+    moved = nodes.copy()
+    value = value.copy()
     moved[chosen] = point[nearest[first]]
     # Of the moves that together spoil a cell the longest is taken back: a node left near the surface makes slivers.
     moved_by = np.linalg.norm(moved - nodes, axis=1)
@@ -193,10 +210,14 @@ def _snapped(
 
 def _crossings(nodes: Points, value: NDArray[np.float64], pairs: Cells, distance: Distance) -> Points:
     """Where the surface crosses the edges, shape (k, 3), by regula falsi (Illinois)."""
-    a, b = nodes[pairs[:, 0]], nodes[pairs[:, 1]]
-    low, high = np.zeros(len(pairs)), np.ones(len(pairs))
-    at_low, at_high = value[pairs[:, 0]].copy(), value[pairs[:, 1]].copy()
-    t, last = low, np.zeros(len(pairs))
+    a = nodes[pairs[:, 0]]
+    b = nodes[pairs[:, 1]]
+    low = np.zeros(len(pairs))
+    high = np.ones(len(pairs))
+    at_low = value[pairs[:, 0]].copy()
+    at_high = value[pairs[:, 1]].copy()
+    t = low
+    last = np.zeros(len(pairs))
     for _ in range(_STEPS):
         slope = at_high - at_low
         t = low - at_low * (high - low) / np.where(slope == 0.0, 1.0, slope)
@@ -204,8 +225,10 @@ def _crossings(nodes: Points, value: NDArray[np.float64], pairs: Cells, distance
         moved = np.where(here * at_low > 0.0, 1.0, -1.0)
         # The end that stays a second time counts half, else it would stay for ever.
         again = np.where(moved == last, 0.5, 1.0)
-        at_high, at_low = (np.where(moved > 0.0, at_high * again, here), np.where(moved > 0.0, here, at_low * again))
-        low, high = np.where(moved > 0.0, t, low), np.where(moved > 0.0, high, t)
+        at_high = np.where(moved > 0.0, at_high * again, here)
+        at_low = np.where(moved > 0.0, here, at_low * again)
+        low = np.where(moved > 0.0, t, low)
+        high = np.where(moved > 0.0, high, t)
         last = moved
     return np.asarray(a + t[:, None] * (b - a))
 
@@ -220,9 +243,71 @@ def _lattice(lower: Points, upper: Points, spacing: float) -> tuple[Points, Cell
     middles = corners.size + np.arange(middle[..., 0].size).reshape(middle.shape[:3])
     tets = []
     for axis in range(3):
-        face, middle = np.moveaxis(corners, axis, 0)[1:-1], np.moveaxis(middles, axis, 0)
+        face = np.moveaxis(corners, axis, 0)[1:-1]
+        middle = np.moveaxis(middles, axis, 0)
         ring = [face[:, :-1, :-1], face[:, 1:, :-1], face[:, 1:, 1:], face[:, :-1, 1:]]
         for edge in zip(ring, [*ring[1:], ring[0]], strict=True):
             tets.append(np.stack([middle[:-1], middle[1:], *edge], axis=-1).reshape(-1, 4))
     nodes = lower + spacing * nodes
     return nodes, _turned(nodes, np.concatenate(tets))
+
+
+def with_inclusion(
+    mesh: TetMesh,
+    name: str,
+    vertices_m: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    *,
+    volume_m3: float,
+    onto: Move | None = None,
+) -> tuple[TetMesh, str]:
+    """The mesh with what lies in a closed surface as a part of its own, and a note on its volume.
+
+    Edges on the surface are at most twice its volume over its area, a third of a ball's diameter. What a part before it
+    has stays with that.
+
+    Parameters
+    ----------
+    mesh, name
+        Where it lies, and what it is called.
+    vertices_m, triangles
+        Its surface [m], wound outward, which may go on outside of the mesh.
+    volume_m3
+        Volume of what lies inside the mesh [m3].
+    onto
+        Nearest points of the surface that the mesh stands for; its surface nodes are moved there.
+
+    Raises
+    ------
+    InputError
+        If it lies outside the mesh.
+    """
+
+    def distance(points: NDArray[np.floating]) -> NDArray[np.float64]:
+        return triangle_distance(vertices_m, triangles, points)
+
+    area_m2 = area_of(vertices_m, triangles)
+    edge_m = 6.0 / _EDGES * volume_m3 / area_m2
+    fine = bisected(mesh, lambda points: edge_m + EDGE_GROWTH * np.abs(distance(points)), onto=onto)
+    # Chords cut a round body's volume short: the surface is laid outside it by as much as makes the volume right.
+    laid_m = 0.0
+    made = fine
+    share = 1.0
+    best = (np.inf, 0.0)
+    for _ in range(_TRIES):
+        tried = with_part(fine, Shape(lambda points: distance(points) - laid_m), name)  # noqa: B023
+        missing_m3 = volume_m3 - float(tried.volumes_m3[tried.part == len(tried.part_names) - 1].sum())
+        off = abs(missing_m3) / volume_m3
+        score = max(off, _CLOSE), -float(mean_ratio(tried.nodes_m, tried.cells).min())
+        if score < best:
+            made = tried
+            share = off
+            best = score
+        laid_m += missing_m3 / area_m2
+    size = f"{1e6 * volume_m3:.3g} ml, in the mesh within {share:.1%}"
+    return made, f"{size} by edges of at most {1e3 * edge_m:.2g} mm"
+
+
+def area_of(vertices_m: NDArray[np.float64], triangles: NDArray[np.int64]) -> float:
+    """Area of triangles [m2]."""
+    return 0.5 * float(np.linalg.norm(cross_products(vertices_m, triangles), axis=1).sum())

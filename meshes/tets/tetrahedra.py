@@ -2,14 +2,21 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.whole_file import whole_file
 from meshes.tets.checks import cell_faces, signed_volumes
 
-__all__ = ["TetMesh"]
+__all__ = ["TetMesh", "grid_of", "write_organ"]
+
+if TYPE_CHECKING:
+    import pyvista
+_TETRA = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +50,20 @@ class TetMesh:
             object.__setattr__(self, "part", np.zeros(len(self.cells), dtype=np.uint8))
         if not np.isfinite(self.nodes_m).all():
             bad = int(np.flatnonzero(~np.isfinite(self.nodes_m).all(axis=1))[0])
-            raise InputError(f"nodes_m must be finite, got node {bad} at {self.nodes_m[bad]}: repair or leave out")
+            raise InputError("nodes_m", "be finite", f"node {bad} at {self.nodes_m[bad]}", "repair or leave out")
         if len(self.cells) == 0:
-            raise InputError("cells must hold at least one tetrahedron, got none: mesh the surface first")
+            raise InputError("cells", "hold at least one tetrahedron", "none", "mesh the surface first")
         if self.cells.min() < 0 or self.cells.max() >= len(self.nodes_m):
             raise InputError(
-                f"cells must name nodes 0 to {len(self.nodes_m) - 1}, got {self.cells.min()} to {self.cells.max()}: "
-                "number nodes from 0"
+                "cells",
+                f"name nodes 0 to {len(self.nodes_m) - 1}",
+                f"{self.cells.min()} to {self.cells.max()}",
+                "number nodes from 0",
             )
         flat = int((self.volumes_m3 <= 0.0).sum())
         if flat:
             raise InputError(
-                f"cells must have positive volume, got {flat} of {len(self.cells)} inverted or flat: repair them first"
+                "cells", "have positive volume", f"{flat} of {len(self.cells)} inverted or flat", "repair them first"
             )
 
     @cached_property
@@ -72,3 +81,34 @@ class TetMesh:
     def surface_nodes(self) -> NDArray[np.int64]:
         """Nodes on the surface in rising order, shape (s,)."""
         return np.unique(self.surface)
+
+
+def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
+    """A mesh in pyvista [mm], with ``part`` over its cells, which counts into the field ``part_names``."""
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkStringArray
+
+    cells = np.insert(mesh.cells, 0, 4, axis=1).ravel()
+    grid = pyvista.UnstructuredGrid(cells, np.full(len(mesh.cells), _TETRA, dtype=np.uint8), 1e3 * mesh.nodes_m)
+    grid.cell_data["part"] = mesh.part
+    names = vtkStringArray()  # pyvista's own takes ASCII alone
+    names.SetName("part_names")
+    for name in mesh.part_names:
+        names.InsertNextValue(name)
+    grid.GetFieldData().AddArray(names)
+    return grid
+
+
+def write_organ(mesh: TetMesh, path: str | Path) -> None:
+    """Write a mesh [mm] with its parts and their names, as ``anatomy.file`` of a scene and `read_tets` read it.
+
+    Raises
+    ------
+    InputError
+        If the file is not named ``.vtu``.
+    """
+    file = Path(path)
+    if file.suffix != ".vtu":
+        raise InputError("path", "end in .vtu", file.name, "name it organ.vtu")
+    with whole_file(file) as temporary:
+        grid_of(mesh).save(temporary)

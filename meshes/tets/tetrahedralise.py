@@ -9,29 +9,37 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError, require_length
 from meshes.base.progress import Progress, silent
+from meshes.base.simplices import directed_edges
 from meshes.surfaces.repair import edge_counts
 from meshes.surfaces.surface import Surface
-from meshes.tets.crossings import crossing_triangles
+from meshes.tets.checks import millimetres, place, signed_volumes
 from meshes.tets.quality import repair_tets
-from meshes.tets.report import millimetres, place
 from meshes.tets.tetrahedra import TetMesh
-from meshes.tets.volume import with_volume
 
-__all__ = ["FILL_EDGES", "tetrahedralise"]
+__all__ = ["FILL_EDGES", "crossing_triangles", "tetrahedralise", "with_volume"]
 
 FILL_EDGES = 14.0
 """Edges along the longest side of an organ where no edge is given."""
 _CELLS = 30_000
 _EDGE_PER_CELL = 2.7
 """Target edge over the cube root of the mean cell volume, as fTetWild came out on a liver."""
-_ENVELOPE, _FARTHEST_M = 0.1, 4e-4
+_ENVELOPE = 0.1
+_FARTHEST_M = 4e-4
 """Distance that the surface may move, over the edge, and at most [m]: less than the voxels of the scans behind it."""
 _VOLUME_OFF = 0.005
 """Share by which the volume of the mesh may differ before a sentence states it."""
+_AT_ONCE = 20_000
+_STEPS = 8
+"""Moves at most: each leaves the square of what was off, or holds nodes of tetrahedra that it would flatten."""
+_OFF = 1e-6
+"""Share of the volume that may be missing after them, else nothing is moved."""
+_LEAST_KEPT = 0.2
+"""Share of its volume that every tetrahedron must keep."""
 
 
 def tetrahedralise(
@@ -85,7 +93,9 @@ def tetrahedralise(
     arrays = cached_arrays("tetwild-3", (surface.vertices_m, surface.faces, edge, envelope), make)
     report(f"filling {surface.report.source} with tetrahedra", 1.0)
     if len(arrays["cells"]) == 0:
-        raise InputError(f"surface must enclose a solid, got none of edge {edge:g} m: use a smaller edge_m")
+        raise InputError(
+            "edge_m", "be short enough to fill the surface", f"{1e3 * edge:.4g}", "use a smaller one", "mm"
+        )
     mesh, repaired = repair_tets(arrays["nodes"], arrays["cells"])
     if not len(crossing):
         mesh = with_volume(mesh, volume, within_m=envelope)
@@ -113,3 +123,80 @@ def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray,
     if not there_before:
         left_behind.unlink(missing_ok=True)
     return np.asarray(nodes, dtype=np.float64), np.asarray(cells, dtype=np.int64)
+
+
+def crossing_triangles(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles that an edge without a vertex in common passes through, in rising order.
+
+    Edges that only touch a triangle, and triangles that overlap in one plane, do not count.
+    """
+    from scipy.spatial import cKDTree
+
+    edges = np.unique(np.sort(directed_edges(faces), axis=1), axis=0)
+    corners = vertices[faces]
+    ends = vertices[edges]
+    centres = corners.mean(axis=1)
+    reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+    half = 0.5 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    # Long edges would widen every search: edges are searched by classes of length.
+    length_class = np.ceil(np.log2(half / half.max() + 1e-300)).astype(np.int64)
+    crossed: list[NDArray[np.int64]] = []
+    for one in np.unique(length_class):
+        members = np.flatnonzero(length_class == one)
+        tree = cKDTree(ends[members].mean(axis=1))
+        for start in range(0, len(faces), _AT_ONCE):
+            block = np.arange(start, min(start + _AT_ONCE, len(faces)))
+            near = tree.query_ball_point(centres[block], reach[block] + half[members].max())
+            triangle = np.repeat(block, [len(n) for n in near])
+            edge = members[np.concatenate([np.asarray(n, dtype=np.int64) for n in near])]
+            crossed.append(triangle[_pass_through(vertices, faces[triangle], edges[edge])])
+    return np.unique(np.concatenate(crossed))
+
+
+def _pass_through(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int64], edges: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Whether the edge passes through the triangle, pair by pair."""
+    apart = (triangles[:, :, None] != edges[:, None, :]).all(axis=(1, 2))
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    p = vertices[edges[:, 0]]
+    q = vertices[edges[:, 1]]
+    normal = np.cross(b - a, c - a)
+    sides = np.einsum("ij,ij->i", p - a, normal) * np.einsum("ij,ij->i", q - a, normal)
+    around = np.stack([np.einsum("ij,ij->i", q - p, np.cross(u - p, v - p)) for u, v in ((a, b), (b, c), (c, a))])
+    return np.asarray(apart & (sides < 0.0) & ((around > 0.0).all(axis=0) | (around < 0.0).all(axis=0)))
+
+
+def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
+    """The mesh with its surface moved along the normals by one distance, so that it encloses a volume.
+
+    Nodes of tetrahedra too small to follow stay where they are.
+
+    Parameters
+    ----------
+    mesh
+        A mesh whose facets cut the corners of what it stands for.
+    volume_m3
+        Volume to enclose [m3].
+    within_m
+        Farthest that the surface may move [m]; where it would move farther, it stays.
+    """
+    moved = mesh
+    free = np.ones(len(mesh.nodes_m))
+    for _ in range(_STEPS):
+        corners = moved.nodes_m[moved.surface]
+        areas = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = np.zeros_like(mesh.nodes_m)
+        np.add.at(normals, moved.surface.ravel(), np.repeat(areas, 3, axis=0))
+        normals *= (free / (np.linalg.norm(normals, axis=1) + 1e-300))[:, None]
+        gained = float((areas * normals[moved.surface].mean(axis=1)).sum())
+        off = volume_m3 - float(moved.volumes_m3.sum())
+        nodes = moved.nodes_m + off / (gained + 1e-300) * normals
+        if np.linalg.norm(nodes - mesh.nodes_m, axis=1).max() > within_m:
+            return mesh
+        flat = signed_volumes(nodes, mesh.cells) < _LEAST_KEPT * mesh.volumes_m3
+        if flat.any():
+            free[mesh.cells[flat]] = 0.0
+        else:
+            moved = replace(moved, nodes_m=nodes)
+    return moved if abs(off) < _OFF * volume_m3 else mesh

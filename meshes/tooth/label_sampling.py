@@ -151,7 +151,7 @@ def resampled(
                 progress(done / len(starts))
     if not fraction.any():
         raise InputError(
-            "region must meet the tooth, got one without any of it: move the tool to the tooth, or set anatomy.site"
+            "region", "meet the tooth", "one without any of it", "move the tool to the tooth, or set anatomy.site"
         )
     (crop,) = find_objects((fraction > 0).view(np.uint8))
     origin = (np.array(grid.first) + [s.start for s in crop]) * size

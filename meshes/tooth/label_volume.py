@@ -105,8 +105,10 @@ class LabelledTooth:
         sides = np.ptp(corners, axis=0)
         if sides.min() < 8.0 * size:
             raise InputError(
-                f"resample_mm must leave eight voxels across the tooth, got {1e3 * size:g} for "
-                f"{1e3 * sides.min():.3g} mm: use 0.1"
+                "resample_mm",
+                "leave eight voxels across the tooth",
+                f"{1000.0 * size:g} for {1000.0 * sides.min():.3g} mm",
+                "use 0.1",
             )
         if region_m is not None:
             corners = np.stack([np.maximum(corners[0], region_m[0]), np.minimum(corners[1], region_m[1])])
@@ -115,8 +117,10 @@ class LabelledTooth:
         count = float(np.prod(np.ptp(corners, axis=0) / size))
         if count > _MOST_VOXELS:
             raise InputError(
-                f"resample_mm must leave at most {_MOST_VOXELS:.0e} voxels, got {1e3 * size:g} which makes "
-                f"{count:.2g}: use {1e3 * size * (count / _MOST_VOXELS) ** (1 / 3):.2g} or more"
+                "resample_mm",
+                f"leave at most {_MOST_VOXELS:.0e} voxels",
+                f"{1000.0 * size:g} which makes {count:.2g}",
+                f"use {1000.0 * size * (count / _MOST_VOXELS) ** (1 / 3):.2g} or more",
             )
         if region_m is None:
             volume = resampled(self.placed, corners, size, progress=progress)
@@ -126,8 +130,10 @@ class LabelledTooth:
             volume = voxelise(self._anatomy(corners), spacing_m=size, region_m=(*corners,), progress=progress)
             if not volume.fraction.any():
                 raise InputError(
-                    "region must meet the tooth, got one without any of it: move the tool to the tooth, or set "
-                    "anatomy.site"
+                    "region",
+                    "meet the tooth",
+                    "one without any of it",
+                    "move the tool to the tooth, or set anatomy.site",
                 )
         if remark is not None:
             for sentence in (*self.sentences, *self._pulp_note()):
@@ -217,14 +223,16 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
     filled = image.values != 0
     boxes = find_objects(filled.view(np.uint8))
     if not boxes:
-        raise InputError(f"labels must mark a tooth, got nothing but 0 in {image.source}: check the file")
+        raise InputError("labels", "mark a tooth", f"nothing but 0 in {image.source}", "check the file")
     cropped = image.values[boxes[0]]
     low = float(cropped.min())
     high = float(cropped.max())
     if low < 0 or high > EMPTY or any((plane != np.rint(plane)).any() for plane in cropped.T):
         raise InputError(
-            f"labels must be whole numbers from 0 to {EMPTY}, got others from {low:g} to {high:g} in {image.source}: "
-            "use a label image"
+            "labels",
+            f"be whole numbers from 0 to {EMPTY}",
+            f"others from {low:g} to {high:g} in {image.source}",
+            "use a label image",
         )
     cropped = cropped.astype(np.uint8)
     # Plane by plane, because the count of a whole image takes eight bytes a voxel.
@@ -233,8 +241,10 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
     unknown = ", ".join(f"{label} ({counts[label]} voxels)" for label in found if label not in labels)
     if unknown:
         raise InputError(
-            f"labels must name every label of {image.source}, got unnamed {unknown}: add them, or set them to 0 in the "
-            "file"
+            "labels",
+            f"name every label of {image.source}",
+            f"unnamed {unknown}",
+            "add them, or set them to 0 in the file",
         )
     pieces, count = label_pieces(cropped)
     sizes = np.bincount(pieces.ravel())
@@ -259,7 +269,7 @@ def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels,
     on_axis = placed.on_plane(0.0, np.zeros(1), heights)[0]
     filled = np.flatnonzero(on_axis != EMPTY)
     if len(filled) == 0:
-        raise InputError("labels must fill the tooth's long axis, got none there: check which label is the enamel")
+        raise InputError("labels", "fill the tooth's long axis", "none there", "check which label is the enamel")
     top = int(filled[-1])
     origin = axes.middle_m + heights[top] * axes.rotation[:, 2]
     return replace(placed, origin=origin), f"{axes.note}; origin on the {TOOTH_LAYERS[on_axis[top]]}"

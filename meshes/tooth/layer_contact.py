@@ -197,8 +197,10 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
         few = tested[:: max(len(tested) // 100, 1)]
         if not any(inside_surface(*solid, few).any() for other, solid in solids.items() if other != name):
             raise InputError(
-                f"{name} surface must touch the others in one common frame and unit, got one "
-                f"{1e3 * apart[nearest]:.3g} mm from {nearest}, the nearest: check its unit and its origin"
+                f"{name} surface",
+                "touch the others in one common frame and unit",
+                f"one {1000.0 * apart[nearest]:.3g} mm from {nearest}, the nearest",
+                "check its unit and its origin",
             )
 
 
@@ -219,6 +221,8 @@ def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Arra
     within = 1.0 - float(np.count_nonzero(~inside_surface(*dentin, far))) / len(tested)
     if within < _LEAST_WITHIN:
         raise InputError(
-            f"pulp must lie within the dentin, got {100.0 * within:.0f} % of its surface there: check which "
-            "layer is which, and the frame of the pulp surface"
+            "pulp",
+            "lie within the dentin",
+            f"{100.0 * within:.0f} % of its surface there",
+            "check which layer is which, and the frame of the pulp surface",
         )

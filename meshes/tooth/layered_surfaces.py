@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Bytes, Floats, Singles
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError, names_of_caller, require_range
 from meshes.base.placement import Placement
 from meshes.base.simplices import cross_products
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
-from meshes.surfaces.glenoid_search import sample_surface
 from meshes.surfaces.repair import Triangles, merge_vertices
-from meshes.surfaces.site import Site
+from meshes.surfaces.site import Site, sample_surface
 from meshes.surfaces.surface import Surface, read_surface
 from meshes.tooth.layer_contact import (
     PITCH_M,
@@ -206,11 +205,8 @@ def layered_surfaces(
 
 def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
     """Read the surface of a layer; an error of its file names the layer."""
-    try:
+    with names_of_caller({word: f"{layer} {word}" for word in ("file", "surface", "vertices", "faces", "cells")}):
         return read_surface(path, scale_mm=scale_mm)
-    except InputError as error:
-        note = str(error)
-        raise InputError(note if note.startswith("anatomy.") else f"{layer} {note}") from error
 
 
 def layered_anatomy(
@@ -249,8 +245,10 @@ def layered_anatomy(
     margin = 1e-3 * require_range("socket_mm", socket_mm, 0.0, 10.0, "use 2.5, or 0 for none")
     if margin > 0.0 and ("ligament" not in surfaces or "bone" in surfaces):
         raise InputError(
-            f"socket_mm must be 0 without a ligament or with a bone surface, got {socket_mm:g}: add the ligament, or "
-            "leave the socket out"
+            "socket_mm",
+            "be 0 without a ligament or with a bone surface",
+            f"{socket_mm:g}",
+            "add the ligament, or leave the socket out",
         )
     order = [name for name in PRIORITY if name in surfaces]
     samples = {name: _spread(surface) for name, surface in surfaces.items()}
@@ -322,7 +320,7 @@ def _site(surfaces: Mapping[str, Surface], samples: Mapping[str, Array]) -> tupl
             origin = axes.middle_m + found.height.max() * axes.rotation[:, 2]
             return origin, axes.rotation, f"{axes.note}; origin on the {name}"
     raise InputError(
-        "layers must lie on the tooth's long axis, got none of enamel and dentin there: check which layer is which"
+        "layers", "lie on the tooth's long axis", "none of enamel and dentin there", "check which layer is which"
     )
 
 

@@ -94,12 +94,10 @@ def require_known(names: Iterable[str], argument: str) -> None:
     given = list(names)
     for name in given:
         if name not in TOOTH_LAYERS:
-            raise InputError(f"{argument} must name layers of {', '.join(TOOTH_LAYERS)}, got {name}: rename it")
+            raise InputError(argument, f"name layers of {', '.join(TOOTH_LAYERS)}", name, "rename it")
     for name in ("enamel", "dentin"):
         if name not in given:
-            raise InputError(
-                f"{argument} must give enamel and dentin, got {', '.join(given) or 'none'}: add the {name}"
-            )
+            raise InputError(argument, "give enamel and dentin", ", ".join(given) or "none", f"add the {name}")
 
 
 def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: float) -> None:
@@ -115,6 +113,8 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
     if _SMALLEST_MM <= size_mm <= _LARGEST_MM:
         return
     raise InputError(
-        f"{argument} must make the tooth {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm long, got {given}, which makes it "
-        f"{size_mm:.3g} mm: use the scanner's value, about {_TYPICAL_MM / per_unit:.1g}"
+        argument,
+        f"make the tooth {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm long",
+        f"{given}, which makes it {size_mm:.3g} mm",
+        f"use the scanner's value, about {_TYPICAL_MM / per_unit:.1g}",
     )

@@ -150,18 +150,24 @@ def _require_fit(depth: float, roof: float, line: float) -> None:
     """
     if 0.0 < depth < _SHALLOWEST_LESION_M:
         raise InputError(
-            f"caries_depth_mm must be 0 or at least {1e3 * _SHALLOWEST_LESION_M:g}, got {1e3 * depth:g}: use 0 for "
-            "none, or about 3"
+            "caries_depth_mm",
+            f"be 0 or at least {1000.0 * _SHALLOWEST_LESION_M:g}",
+            f"{1000.0 * depth:g}",
+            "use 0 for none, or about 3",
         )
     if depth > roof - _LEAST_OVER_PULP_M:
         raise InputError(
-            f"caries_depth_mm must leave 0.3 mm over the pulp, got {1e3 * depth:g} with the chamber's roof at "
-            f"{1e3 * roof:g}: use at most {1e3 * (roof - _LEAST_OVER_PULP_M):g}"
+            "caries_depth_mm",
+            "leave 0.3 mm over the pulp",
+            f"{1000.0 * depth:g} with the chamber's roof at {1000.0 * roof:g}",
+            f"use at most {1000.0 * (roof - _LEAST_OVER_PULP_M):g}",
         )
     if roof > line + 0.8e-3:
         raise InputError(
-            f"pulp_roof_mm must lie above the root trunk, got {1e3 * roof:g} with a cervical line "
-            f"{1e3 * line:g} below the fossa: use at most {1e3 * line + 0.8:g}"
+            "pulp_roof_mm",
+            "lie above the root trunk",
+            f"{1000.0 * roof:g} with a cervical line {1000.0 * line:g} below the fossa",
+            f"use at most {1000.0 * line + 0.8:g}",
         )
 
 

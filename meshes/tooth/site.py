@@ -64,8 +64,10 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
     height = float(np.linalg.norm(rise))
     if height < _LEAST_RISE_M:
         raise InputError(
-            f"layers must have the enamel to one side of the dentin, got middles {1e3 * height:.2g} mm apart: check "
-            "which layer is which"
+            "layers",
+            "have the enamel to one side of the dentin",
+            f"middles {1e3 * height:.2g} mm apart",
+            "check which layer is which",
         )
     line = rise / height
     whole = np.concatenate([enamel_m, body_m])
@@ -115,7 +117,7 @@ def lesion_site(tooth: VoxelVolume) -> Site:
 
     lesion = (tooth.layer == CARIES) & (tooth.fraction >= FULL // 2)
     if not lesion.any():
-        raise InputError("site must not be caries for a tooth without a lesion, got caries: use enamel")
+        raise InputError("site", "not be caries for a tooth without a lesion", "caries", "use enamel")
     pieces, _ = label(lesion)
     largest = np.argmax(np.bincount(pieces.ravel())[1:]) + 1
     middle = np.argwhere(pieces == largest).mean(axis=0)

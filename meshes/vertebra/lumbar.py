@@ -143,8 +143,10 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
     )
     if cortex > 0.66 * half.pedicle_width:
         raise InputError(
-            f"pedicle_cortex_mm must be less than a third of pedicle_width_mm ({given.pedicle_width_mm:g}), got "
-            f"{given.pedicle_cortex_mm:g}: use 1"
+            "pedicle_cortex_mm",
+            f"be less than a third of pedicle_width_mm ({given.pedicle_width_mm:g})",
+            f"{given.pedicle_cortex_mm:g}",
+            "use 1",
         )
     bone = _bone(half)
     canal = _canal(half)

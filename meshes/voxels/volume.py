@@ -66,7 +66,7 @@ class VoxelVolume:
         highest = int(self.layer.max())
         if highest >= len(self.layer_names):
             raise InputError(
-                f"layer must index layer_names, got {highest} with {len(self.layer_names)} names: name every layer"
+                "layer", "index layer_names", f"{highest} with {len(self.layer_names)} names", "name every layer"
             )
 
     @property
@@ -94,7 +94,7 @@ class VoxelVolume:
             If the layer is unknown; the message lists the known ones.
         """
         if layer is not None and layer not in self.layer_names:
-            raise InputError(f"layer must be one of {', '.join(self.layer_names)}, got {layer}: use one of these names")
+            raise InputError("layer", f"be one of {', '.join(self.layer_names)}", layer, "use one of these names")
         inside = True if layer is None else self.layer == self.layer_names.index(layer)
         return float(np.sum(self.fraction, where=inside, dtype=np.int64)) / FULL * self.voxel_volume_m3
 
@@ -106,13 +106,17 @@ class VoxelVolume:
 def _require_array(name: str, array: NDArray[np.generic], dtype: type, shape: tuple[int, ...]) -> None:
     if array.ndim != 3 or 0 in array.shape or array.shape != shape:
         raise InputError(
-            f"{name} must have the shape (nx, ny, nz) of fraction with no zero, got {array.shape}: "
-            "give all three arrays the same shape"
+            name,
+            "have the shape (nx, ny, nz) of fraction with no zero",
+            array.shape,
+            "give all three arrays the same shape",
         )
     if array.dtype != dtype or not array.flags.c_contiguous:
         raise InputError(
-            f"{name} must be a C-contiguous {np.dtype(dtype)} array, got {array.dtype}: "
-            f"use numpy.ascontiguousarray(array, dtype='{np.dtype(dtype)}')"
+            name,
+            f"be a C-contiguous {np.dtype(dtype)} array",
+            array.dtype,
+            f"use numpy.ascontiguousarray(array, dtype='{np.dtype(dtype)}')",
         )
 
 
@@ -150,19 +154,23 @@ def density_volume(
     """
     density = np.asarray(density_kg_m3, dtype=np.float64)
     if density.ndim != 3 or 0 in density.shape:
-        raise InputError(f"density_kg_m3 must have the shape (nx, ny, nz), got {density.shape}: give one value a voxel")
+        raise InputError("density_kg_m3", "have the shape (nx, ny, nz)", density.shape, "give one value a voxel")
     if not np.isfinite(density).all() or density.min() < 0.0 or density.max() > DENSEST_KG_M3:
         raise InputError(
-            f"density_kg_m3 must be finite from 0 to {DENSEST_KG_M3:g}, got {density.min():g} to {density.max():g}: 0 "
-            "is no bone, 1800 is cortical bone"
+            "density_kg_m3",
+            f"be finite from 0 to {DENSEST_KG_M3:g}",
+            f"{density.min():g} to {density.max():g}",
+            "0 is no bone, 1800 is cortical bone",
         )
     if not density.any():
-        raise InputError("density_kg_m3 must hold bone, got 0 everywhere: give its density where there is bone")
+        raise InputError("density_kg_m3", "hold bone", "0 everywhere", "give its density where there is bone")
     numbers = np.zeros(density.shape, dtype=np.uint8) if layer is None else np.asarray(layer)
     if numbers.shape != density.shape or numbers.min() < 0 or numbers.max() >= len(layer_names):
         raise InputError(
-            f"layer must have the shape {density.shape} with numbers from 0 to {len(layer_names) - 1}, got shape "
-            f"{numbers.shape} with {numbers.min()} to {numbers.max()}: name every layer in layer_names"
+            "layer",
+            f"have the shape {density.shape} with numbers from 0 to {len(layer_names) - 1}",
+            f"shape {numbers.shape} with {numbers.min()} to {numbers.max()}",
+            "name every layer in layer_names",
         )
     spacing_m = 1e-3 * require_positive("spacing_mm", spacing_mm, "use about 0.1")
     origin_m = 1e-3 * require_vector("origin_mm", np.asarray(origin_mm, dtype=np.float64))

@@ -138,9 +138,7 @@ def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
     if region_m is not None:
         lower, upper = _corners(region_m)
     if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
-        raise InputError(
-            "region_m must be given for an anatomy without end, got None: use the box that the tool reaches"
-        )
+        raise InputError("region_m", "be given for an anatomy without end", "None", "use the box that the tool reaches")
     first = np.floor(lower / spacing + _ROUNDING).astype(int).tolist()
     last = np.ceil(upper / spacing - _ROUNDING).astype(int).tolist()
     counts = [max(b - a, 1) for a, b in zip(first, last, strict=True)]
@@ -151,8 +149,10 @@ def _corners(region_m: Region) -> tuple[Array, Array]:
     corners = np.asarray(region_m, dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
         raise InputError(
-            f"region_m must be two finite corners, the first below the second in x, y and z, "
-            f"got {region_m}: use for example ((-0.01, -0.01, -0.008), (0.01, 0.01, 0.001))"
+            "region_m",
+            "be two finite corners, the first below the second in x, y and z",
+            region_m,
+            "use for example ((-0.01, -0.01, -0.008), (0.01, 0.01, 0.001))",
         )
     return corners[0], corners[1]
 

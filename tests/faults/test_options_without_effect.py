@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tissue
-from meshes.base.errors import in_callers_words, names_of_caller, require_length
+from meshes.base.errors import names_of_caller, require_length
 from meshes.organs.liver import Nodule, slab
 from meshes.tets.structured import box
 from tissue import InputError, load_scene, scene_names, scene_text, simulate
@@ -197,7 +197,7 @@ def test_counts_in_messages_are_not_scaled_with_lengths():
 
 
 def test_names_of_arguments_are_replaced_by_those_of_the_caller():
-    assert in_callers_words("file must exist, got file.stl: check", {"file": "anatomy.file"}) == (
-        "anatomy.file must exist, got file.stl: check"
-    )
-    assert in_callers_words("filed must exist", {"file": "anatomy.file"}) == "filed must exist"
+    for argument, named in (("file", "anatomy.file"), ("filed", "filed")):
+        with pytest.raises(InputError) as refused, names_of_caller({"file": "anatomy.file"}):
+            raise InputError(argument, "exist", "file.stl", "check")
+        assert str(refused.value) == f"{named} must exist, got file.stl: check"

@@ -1,14 +1,13 @@
 """What a bone is made of: voxels, a surface to show, and what was found or assumed."""
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError, names_of_caller, require_range
 from meshes.shapes.anatomy import Anatomy
 from meshes.voxels.volume import VoxelVolume
 from tissue.models.bone.bricks_on_demand import BricksOnDemand
@@ -85,7 +84,7 @@ def surface_source(
         raise InputError(
             f"file must be a surface ({' '.join(SURFACE_SUFFIXES)}), got {path.name}: an image goes to Bone.from_image"
         )
-    with _own_names():
+    with names_of_caller({"anatomy.scale_mm": "scale_mm"}):
         surface = read_surface(path, scale_mm=scale_mm, cut_off=True)
     anatomy = surface_anatomy(
         surface,
@@ -114,7 +113,8 @@ def image_source(path: Path, *, threshold: float, density_kg_m3: float, spacing_
     from meshes.images.tiff import tiff_slices
 
     remarks: list[str] = []
-    with _own_names():
+    names = {"anatomy.threshold": "threshold", "anatomy.spacing_mm": "spacing_mm", "resample_mm": "spacing_mm"}
+    with names_of_caller(names):
         found = image_volume(
             read_image(path, spacing_mm=spacing_mm if tiff_slices(path) else None),
             threshold=threshold,
@@ -126,12 +126,3 @@ def image_source(path: Path, *, threshold: float, density_kg_m3: float, spacing_
     volume = replace(found, origin_m=found.origin_m + 1e-3 * found.placement.origin_mm, placement=None)
     notes = {"image": " ".join(remarks).replace(KEY, "")} if remarks else {}
     return BoneSource(lambda: volume, notes=notes, density_kg_m3=density_kg_m3)
-
-
-@contextmanager
-def _own_names() -> Iterator[None]:
-    """Let refusals of readers name arguments, where those of a scene name its keys."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(str(error).replace(KEY, "").replace("resample_mm", "spacing_mm")) from error

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.surfaces.seams import close_seams
+from meshes.surfaces.holes import close_seams
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.api.quiet import quiet_without_display
 from tissue.builders.bone import VoxelBone

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from meshes.base.errors import InputError, require_positive, require_range, require_vector
 from meshes.base.progress import Progress, silent
-from meshes.tets.grid import grid_of
+from meshes.tets.tetrahedra import grid_of
 from tissue.api.organ_makers import OrganMakers
 from tissue.api.press import Press, html_table
 

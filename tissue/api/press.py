@@ -12,7 +12,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, in_brackets
-from meshes.tets.grid import grid_of
+from meshes.tets.tetrahedra import grid_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -145,7 +145,8 @@ def box_text(corners: Corners, *, between: bool = False) -> str:
 
 def _site(parameters: Placed, surface: "Surface") -> "Site":
     """The site on a bone surface: where the scene puts it, else the glenoid that it searches for."""
-    from meshes.surfaces.site import find_glenoid, place_site
+    from meshes.surfaces.landmarks import find_glenoid
+    from meshes.surfaces.site import place_site
 
     centre, normal, along = parameters.centre_mm, parameters.normal, parameters.along
     if isinstance(parameters, Glenoid) and normal is None:

@@ -42,7 +42,6 @@ KEYS = {
     "nodule.centre_m": "anatomy.nodule_centre_mm",
     "spacing_m": "anatomy.edge_mm",
     "edge_m": "anatomy.edge_mm",
-    "surface must enclose a solid, got none of edge": "anatomy.edge_mm must fill the surface, got",
     "nodule_diameter_mm": "anatomy.nodule_diameter_mm",
     "held_part": "anatomy.held_part",
     "part": "anatomy.held_part",
@@ -187,12 +186,10 @@ def _moduli_kPa(mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ) -> dict[int, 
         if known is None:
             have = "has one part alone" if len(names) == 1 else f"has {', '.join(names)}"
             close = nearest(name, names)
-            raise InputError(f"organ.parts must name parts of the organ, got {name}{close}: it {have}")
+            raise InputError("organ.parts", "name parts of the organ", f"{name}{close}", f"it {have}")
         number = names.index(known)
         if number in given:
-            raise InputError(
-                f"organ.parts must name each part once, got {given[number]} and {name}: remove one of them"
-            )
+            raise InputError("organ.parts", "name each part once", f"{given[number]} and {name}", "remove one of them")
         given[number], found[number] = name, modulus
     return found
 
@@ -202,9 +199,10 @@ def _nodule(anatomy: WithNodule) -> Nodule | None:
         return None
     if anatomy.nodule_diameter_mm < 2.0 * anatomy.edge_mm:
         raise InputError(
-            f"anatomy.nodule_diameter_mm must be at least twice anatomy.edge_mm ({anatomy.edge_mm:g}), got "
-            f"{anatomy.nodule_diameter_mm:g}: use {2.0 * anatomy.edge_mm:g}, or anatomy.edge_mm = "
-            f"{0.5 * anatomy.nodule_diameter_mm:g}"
+            "anatomy.nodule_diameter_mm",
+            f"be at least twice anatomy.edge_mm ({anatomy.edge_mm:g})",
+            f"{anatomy.nodule_diameter_mm:g}",
+            f"use {2.0 * anatomy.edge_mm:g}, or anatomy.edge_mm = {0.5 * anatomy.nodule_diameter_mm:g}",
         )
     x, y, z = (1e-3 * value for value in anatomy.nodule_centre_mm)
     return Nodule(0.5e-3 * anatomy.nodule_diameter_mm, (x, y, z))
@@ -225,8 +223,10 @@ def _from_file(anatomy: LiverFile, fine: Callable[[TetMesh, Move | None], TetMes
     found = read_tets(anatomy.file, unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, report=report)
     if found.surface is None and is_given(anatomy, "edge_mm"):
         raise InputError(
-            f"anatomy.edge_mm must be left out for tetrahedra from a file, got {anatomy.edge_mm:g}: set "
-            "anatomy.touch_edge_mm, by which they are divided where the tool goes, or remove it"
+            "anatomy.edge_mm",
+            "be left out for tetrahedra from a file",
+            f"{anatomy.edge_mm:g}",
+            "set anatomy.touch_edge_mm, by which they are divided where the tool goes, or remove it",
         )
     mesh, turn = found.mesh, frame_along(anatomy.normal)
     if anatomy.along is not None:
@@ -261,7 +261,7 @@ def _held(anatomy: Held, mesh: TetMesh) -> NDArray[np.int64]:
         return nodes_behind_plane(mesh, point_m=(0.0, 0.0, height), normal=(0.0, 0.0, 1.0))
     if anatomy.held == "part":
         if anatomy.held_part is None:
-            raise InputError(f"held_part must be given, got nothing: use one of {', '.join(mesh.part_names)}")
+            raise InputError("held_part", "be given", "nothing", f"use one of {', '.join(mesh.part_names)}")
         numbered = f"part {anatomy.held_part}"
         return nodes_of_part(mesh, numbered if numbered in mesh.part_names else anatomy.held_part)
     if isinstance(anatomy, LiverAnatomy):

@@ -7,7 +7,7 @@ from typing import Any
 from meshes.base.errors import InputError, names_of_caller, require_positive
 from meshes.base.progress import Progress
 from meshes.surfaces.surface import Surface
-from meshes.tets.inclusions import with_inclusion
+from meshes.tets.stuffing import with_inclusion
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.builders.organ_given import surface_of
 from tissue.builders.organ_made import MadeOrgan, made_of, material_of
@@ -45,11 +45,7 @@ def of_surface(
     edge = usual if edge_mm is None else require_positive("edge_mm", edge_mm, f"use {usual:.2g}")
     inner = {name: surface_of(f"inclusions[{name!r}]", each, scale_mm) for name, each in inclusions.items()}
     _require_apart(outer, inner, 1e-3 * ENVELOPE * edge)
-    words = {
-        "edge_m": "edge_mm",
-        "surface must enclose a solid, got none of edge": "edge_mm must fill the surface, got",
-    }
-    with names_of_caller(words):
+    with names_of_caller({"edge_m": "edge_mm"}):
         mesh, sentences = tetrahedralise(outer, edge_m=1e-3 * edge, report=report)
     notes = {"mesh": " ".join((*outer.report.repairs, *sentences))}
     for name, each in inner.items():

@@ -62,7 +62,7 @@ def hold_of(
         if held in mesh.part_names:
             return lambda mesh: nodes_of_part(mesh, held), f"the part {held}"
         raise InputError(
-            f"held must be one of {', '.join((*SIDES, *mesh.part_names))} or points, got {held!r}: use bottom"
+            "held", f"be one of {', '.join((*SIDES, *mesh.part_names))} or points", f"{held!r}", "use bottom"
         )
     nodes = _named(np.asarray(held), mesh, points_mm)
     points_m, triangles = mesh.nodes_m, faces_of(mesh, nodes)
@@ -89,11 +89,13 @@ def _named(held: NDArray[Any], mesh: TetMesh, points_mm: NDArray[np.float64]) ->
     whole = held.dtype.kind in "iu" and held.ndim == 1
     if not whole or (len(held) and not (held.min() >= 0 and held.max() < count)):
         raise InputError(
-            f"held must be a side, a part, a mask of the {count} points or their numbers, got an array of "
-            f"{held.dtype} and shape {held.shape}: number points from 0"
+            "held",
+            f"be a side, a part, a mask of the {count} points or their numbers",
+            f"an array of {held.dtype} and shape {held.shape}",
+            "number points from 0",
         )
     if not len(held):
-        raise InputError("held must name at least three points, got none: name the points that do not move")
+        raise InputError("held", "name at least three points", "none", "name the points that do not move")
     from scipy.spatial import cKDTree
 
     near = COINCIDE * 1e3 * float(np.ptp(mesh.nodes_m, axis=0).max())

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.errors import InputError, by, names_of_caller, require_positive
 from meshes.surfaces.surface import Surface
-from meshes.tets.given import given_tets
+from meshes.tets.files import given_tets
 from meshes.tets.regions import Nodes
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
@@ -148,7 +148,7 @@ def made_of(
 def of_tetrahedra(
     mesh: object, stated: dict[str, Any], *, scale_mm: float | None, part_names: Mapping[int, str] | None
 ) -> MadeOrgan:
-    """An organ of tetrahedra; arguments as of `meshes.tets.given.given_tets` and `made_of`."""
+    """An organ of tetrahedra; arguments as of `meshes.tets.files.given_tets` and `made_of`."""
     given = given_tets(mesh, scale_mm=scale_mm, part_names=part_names)
     notes = {"mesh": " ".join(given.sentences)} if given.sentences else {}
     return made_of(given.mesh, notes, stated, points_mm=given.points_mm)

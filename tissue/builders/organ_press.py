@@ -28,9 +28,8 @@ LONG = 1.25
 """Edges over these that are noted: a press is 4 % off where they are twice as long, 0.1 % where they are not longer."""
 WORDS = {
     "point_m": "at_mm",
-    "motion must start outside the organ": "at_mm must have a free path before it",
-    "motion must bring the tool to": "at_mm must bring the tool to",
-    "nodes_m must lie closer to each other": "mesh must have shorter edges",
+    "motion": "at_mm",
+    "touch_edge_m": "edges of the mesh",
 }
 """What the press calls things, and what the caller does."""
 

@@ -110,7 +110,7 @@ def pressed(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores:
     )  # fmt: skip
     report("assembling the stiffness", 0.0)
     tips, turns = poses_along(motion, within_m)
-    with names_of_caller({"nodes_m must lie closer to each other": "anatomy.touch_edge_mm must give shorter edges"}):
+    with names_of_caller({"touch_edge_m": "anatomy.touch_edge_mm"}):
         model, touchable = soft.under(
             probe, tips, turns, path=organ.path, basis_size=organ.basis_size, step_s=step_s, cores=cores,
             interval_s=1e-3 * organ.interval_ms if organ.interval_ms > 0.0 else inf, report=report,

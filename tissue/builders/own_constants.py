@@ -46,8 +46,10 @@ def given_note(given: Materials, rests_on: Sequence[Used], *, layers: Sequence[s
         table, layer, _ = entry.split(".")
         if table == "cutting" and layer not in known:
             raise InputError(
-                f"materials must name a material of cutting or a layer, got {layer}{nearest(layer, known)} in {name}: "
-                f"use one of {', '.join(known)}"
+                "materials",
+                "name a material of cutting or a layer",
+                f"{layer}{nearest(layer, known)} in {name}",
+                f"use one of {', '.join(known)}",
             )
     used = {one.full: one for one in rests_on if one.full in given.given}
     for full, one in used.items():
@@ -55,12 +57,14 @@ def given_note(given: Materials, rests_on: Sequence[Used], *, layers: Sequence[s
             part = "organ.young_kPa" if one.name == "modulus_kPa" else f"{full.split('.')[0]}.{one.name}"
             part = part.replace("soft.", "organ.")
             raise InputError(
-                f"{part} must be left out where materials states {full}, got {shown(one.stated)}: remove one of them"
+                part, f"be left out where materials states {full}", shown(one.stated), "remove one of them"
             )
     if not used:
         raise InputError(
-            f"materials must hold a constant that the {by} rests on, got {', '.join(given.given)} in {name}: name the "
-            f"materials of this {by}, or leave materials out"
+            "materials",
+            f"hold a constant that the {by} rests on",
+            f"{', '.join(given.given)} in {name}",
+            f"name the materials of this {by}, or leave materials out",
         )
     note = f"of {name}: " + "; ".join(
         f"{full} {one.cited.value:g} ({one.cited.low:g}-{one.cited.high:g}), {one.cited.source}"

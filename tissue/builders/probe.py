@@ -41,7 +41,7 @@ def shell(tool: Probe) -> ShellProbe:
     """
     file = Path(tool.file_name)
     if not is_file(file):
-        raise InputError(f"tool.file must exist, got {file}: check the path")
+        raise InputError("tool.file", "exist", file, "check the path")
     try:
         with names_of_caller(dict.fromkeys(("mesh", *FILE_WORDS), "tool.file")):
             return ShellProbe.from_mesh(file, scale=1e-3 * tool.scale)
@@ -49,7 +49,7 @@ def shell(tool: Probe) -> ShellProbe:
         raise
     except Exception as problem:  # trimesh's readers raise whatever their format's parser does
         raise InputError(
-            f"tool.file must be a surface that can be read, got {file.name} (damaged or cut off): export it as STL"
+            "tool.file", "be a surface that can be read", f"{file.name} (damaged or cut off)", "export it as STL"
         ) from problem
 
 
@@ -93,4 +93,4 @@ def require_outside(mesh: TetMesh, motion: Motion) -> None:
     weights = np.linalg.solve(edges, (tip - corners[:, 0])[:, :, None])[:, :, 0]
     if ((weights >= 0.0).all(axis=1) & (weights.sum(axis=1) <= 1.0)).any():
         at = ", ".join(f"{1e3 * value:.4g}" for value in tip)
-        raise InputError(f"motion must start outside the organ, got a tip inside it at ({at}) mm: start higher")
+        raise InputError("motion", "start outside the organ", f"a tip inside it at ({at}) mm", "start higher")

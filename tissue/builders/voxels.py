@@ -93,8 +93,10 @@ def volume_of(scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, 
     high = np.minimum(region[1], bone[1])
     if (low >= high).any():
         raise InputError(
-            "motion must bring the tool to the bone, got one that with the tool and a margin reaches from "
-            f"{box_text(region)}: move it to the bone {box_text(bone, between=True)}"
+            "motion",
+            "bring the tool to the bone",
+            f"one that with the tool and a margin reaches from {box_text(region)}",
+            f"move it to the bone {box_text(bone, between=True)}",
         )
     low, high = _covered(region, bone, spacing)
     _require_memory(region, bone, spacing)
@@ -129,8 +131,7 @@ def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
     parameters = scene.bone
     if not is_procedural(parameters):
         raise InputError(
-            f"anatomy must be procedural to be known exactly, got a {scene.anatomy.kind} from a file: "
-            "leave the file out"
+            "anatomy", "be procedural to be known exactly", f"a {scene.anatomy.kind} from a file", "leave the file out"
         )
     return _anatomy(parameters, {}), _guide_hole(scene, motion)
 
@@ -170,9 +171,8 @@ def _named(parameters: CutAnatomy) -> AbstractContextManager[None]:
     layers = parameters.layer_files if isinstance(parameters, Tooth) else {}
     if layers:
         names |= {f"{layer} {word}": f"anatomy.{layer}_file" for layer in layers for word in FILE_WORDS}
-        missing = "dentin" if "enamel" in layers else "enamel"
-        names["paths_by_layer must give enamel and dentin"] = f"anatomy.{missing}_file must be given"
-        names |= {"layers": "anatomy.enamel_file and anatomy.dentin_file", "pulp": "anatomy.pulp_file"}
+        both = "anatomy.enamel_file and anatomy.dentin_file"
+        names |= {"paths_by_layer": both, "layers": both, "pulp": "anatomy.pulp_file"}
     return names_of_caller(names | {"resample_mm": "voxels.spacing_mm"})
 
 
@@ -209,8 +209,10 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     held = np.argwhere(volume.fraction)
     bone = [volume.origin_m + volume.spacing_m * corner for corner in (held.min(axis=0), held.max(axis=0) + 1)]
     raise InputError(
-        "motion must bring the tool to the bone, got a tool that never touches it: move it to the bone "
-        f"{box_text((bone[0], bone[1]), between=True)}"
+        "motion",
+        "bring the tool to the bone",
+        "a tool that never touches it",
+        f"move it to the bone {box_text((bone[0], bone[1]), between=True)}",
     )
 
 
@@ -224,8 +226,10 @@ def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None
     if inside:
         start = ", ".join(f"{1e3 * value:.4g}" for value in motion.sweep_m()[0])
         raise InputError(
-            f"motion must start outside the tooth, got a bur at ({start}) mm with {inside / len(points):.0%} of its "
-            "surface inside: start higher"
+            "motion",
+            "start outside the tooth",
+            f"a bur at ({start}) mm with {inside / len(points):.0%} of its surface inside",
+            "start higher",
         )
 
 
@@ -238,9 +242,11 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
         low, high = points.min(axis=0), points.max(axis=0)
         if (low <= region[1]).all() and (high >= region[0]).all() and not _on_one_side(points, region):
             raise InputError(
-                f"anatomy.file must enclose a solid where the tool goes, got {anatomy.name} {how} "
-                f"{box_text((low, high), between=True)} within the tool's reach {box_text(region)}: {remedy}, or move "
-                "the site away from it"
+                "anatomy.file",
+                "enclose a solid where the tool goes",
+                f"{anatomy.name} {how} {box_text((low, high), between=True)} within the tool's reach "
+                f"{box_text(region)}",
+                f"{remedy}, or move the site away from it",
             )
 
 
@@ -283,6 +289,8 @@ def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
         while needed(fits) > 0.8 * free:
             fits += 1e-5
         raise InputError(
-            f"voxels.spacing_mm must leave the bone within the free memory of {free / 1e9:.1f} GB, got "
-            f"{spacing * 1e3:g} which needs {needed(spacing) / 1e9:.1f} GB: use {round(fits * 1e3, 2):g}"
+            "voxels.spacing_mm",
+            f"leave the bone within the free memory of {free / 1e9:.1f} GB",
+            f"{spacing * 1e3:g} which needs {needed(spacing) / 1e9:.1f} GB",
+            f"use {round(fits * 1e3, 2):g}",
         )

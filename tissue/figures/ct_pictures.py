@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.images.frame import Image
-from meshes.images.part import part_of
+from meshes.images.frame import Image, part_of
 from meshes.paths.toolpath import PathDepth
 from meshes.surfaces.surface import Surface
 from meshes.tets.tetrahedra import TetMesh

@@ -267,7 +267,7 @@ def draw_played(run: Run, path: Path) -> None:
         )
     if sizes["device_force"].max() > 0.5 * limits.force_limit_N:
         panels[0].axhline(limits.force_limit_N, color="0.2", linewidth=1.0, linestyle=(0, (6, 3)))
-        panels[0].annotate(f"greatest force of the {scene.device}, {limits.force_limit_N:g} N",
+        panels[0].annotate(f"greatest force of the {scene.held.kind}, {limits.force_limit_N:g} N",
                            (time[0], limits.force_limit_N), (4, -11), textcoords="offset points", size=8.5)  # fmt: skip
     panels[0].axvspan(time[moment][0], time[moment][-1], color="0.85", linewidth=0.0, zorder=0)
     panels[1].set_title("the steepest moment, grey above", size=9.0, loc="left")

@@ -54,7 +54,7 @@ def cutting_problem(
 ) -> Problem:
     """A cut through bone or a tooth; see `tissue.fitting.fit.fit_scene`."""
     progress("recording the geometry of the log", 0.0)
-    with names_of_caller({"motion must bring": "measured must bring"}):
+    with names_of_caller({"motion": "measured"}):
         forward = cutting_forward(
             scene, log.times_s, log.tips_m, log.quaternions_of(scene), free=free, cores=cores, progress=progress
         )

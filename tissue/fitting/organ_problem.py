@@ -182,7 +182,7 @@ def organ_problem(
     ticks = block_ticks(float(log.load_times_s[-1] - log.load_times_s[0]), log.load_period_s)
     measured = block_averages(log.load_times_s, log.loads, log.channels, ticks)
     with (
-        names_of_caller({"motion must": "measured must", "the motion": "the log"}),
+        names_of_caller({"motion": "measured"}),
         OrganRuns(scene, poses, log.channels, every=EVERY, cores=cores or os.cpu_count() or 1) as runs,
     ):
         found = settled(parameters, moduli, runs, measured, progress)

@@ -142,9 +142,10 @@ def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
             return None
         if text.lower() == "internal" or text.lower() in DENSITY_LAWS:
             raise InputError(
-                f"density must be line:SLOPE,OFFSET for an image that is not in Hounsfield units, got {text} for "
-                f"{found.source} with values from {found.lowest:g} to {found.highest:g}: give the line of your "
-                "scanner, or leave it out"
+                "density",
+                "be line:SLOPE,OFFSET for an image that is not in Hounsfield units",
+                f"{text} for {found.source} with values from {found.lowest:g} to {found.highest:g}",
+                "give the line of your scanner, or leave it out",
             )
     try:
         return density_law("internal" if is_auto else text, image)
@@ -188,8 +189,10 @@ def _surface(bone: BoneOfImage, source: str) -> Surface:
     longest = float(np.ptp(vertices, axis=0).max())
     if not _SIDE_MM[0] <= longest <= _SIDE_MM[1]:
         raise InputError(
-            f"the bone must be {_SIDE_MM[0]:g} to {_SIDE_MM[1]:g} mm long, got {longest:.4g} mm in {source}: check the "
-            "spacing in the image's header"
+            "the bone",
+            f"be {_SIDE_MM[0]:g} to {_SIDE_MM[1]:g} mm long",
+            f"{longest:.4g} mm in {source}",
+            "check the spacing in the image's header",
         )
     surface = surface_from_triangles(vertices, faces, source="bone.ply", scale_mm=1.0, cut_off=True)
     return replace(surface, caps_m=surface.caps_m + bone.cuts)
@@ -221,7 +224,7 @@ def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str,
     else:
         scene = load_scene(wanted)
         if not isinstance(scene.tool, Tool):
-            raise InputError(f"like must be a scene in which a tool cuts, got {like}: use milling or glenoid")
+            raise InputError("like", "be a scene in which a tool cuts", like, "use milling or glenoid")
         tables = scene_tables(scene, (*HEAD, *TABLES, "anatomy"))
         tables["anatomy"] = {key: value for key, value in tables["anatomy"].items() if key in HOLE}
     if replay:

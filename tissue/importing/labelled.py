@@ -13,10 +13,9 @@ from meshes.base.progress import Progress
 from meshes.ct.extraction import cropped
 from meshes.ct.inspection import bone_label_note, inspect, soft_label_note
 from meshes.ct.labels import Labels, on_grid_of
-from meshes.images.frame import Image
-from meshes.images.part import box_of, part_of
+from meshes.images.frame import Image, box_of, part_of
 from meshes.organs.from_labels import organ_mesh
-from meshes.tets.grid import write_organ
+from meshes.tets.tetrahedra import write_organ
 from meshes.tooth.layers import TOOTH_LAYERS
 from tissue.figures.ct_pictures import draw_ct_organ, draw_ct_slices
 from tissue.importing.draft import Draft, Writer, scene_tables, toml, write_labels
@@ -46,9 +45,7 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
     sentences = list(image.notes)
     if request.labels is not None and request.source.resolve() == request.labels.resolve():
         if request.series is not None:
-            raise InputError(
-                f"series must be left out where the labels are the source, got {request.series}: leave it out"
-            )
+            raise InputError("series", "be left out where the labels are the source", request.series, "leave it out")
     else:
         image = request.read_image()
         with names_of_caller({"region": "labels"}):
@@ -119,8 +116,10 @@ def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
         return middle, "site: where the tooth's long axis leaves the enamel"
     if "caries" not in tooth.names.values():
         raise InputError(
-            f"site must not be tooth:lesion for a tooth without a label caries, got it for {tooth.image.source}: use "
-            "--site tooth"
+            "site",
+            "not be tooth:lesion for a tooth without a label caries",
+            f"it for {tooth.image.source}",
+            "use --site tooth",
         )
     pieces, _ = label(tooth.mask("caries"))
     counts = np.bincount(pieces.ravel())[1:]
@@ -159,7 +158,7 @@ def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
             labels.number(each)
     for each, modulus in request.parts.items():
         if not modulus > 0.0:
-            raise InputError(f"part must have a modulus above 0, got {each}={modulus:g}: give kPa")
+            raise InputError("part", "have a modulus above 0", f"{each}={modulus:g}", "give kPa")
     mask = labels.mask(region)
     note = soft_label_note(image, mask, region) if mask.any() and inspect(image).is_hounsfield else ""
     mesh, notes = organ_mesh(labels, region, tuple(request.parts), report=progress)

@@ -2,8 +2,7 @@
 
 import re
 import unicodedata
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,9 +14,9 @@ from meshes.ct.extraction import kept_label
 from meshes.ct.labels import Labels
 from meshes.paths.replay_table import ReplayTable, to_replay
 from meshes.paths.toolpath import PathDepth, depth_along, read_toolpath
+from meshes.surfaces.landmarks import find_site
 from meshes.surfaces.markups import read_site
 from meshes.surfaces.site import Site, place_site
-from meshes.surfaces.site_search import find_site
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from tissue.importing.request import ImportRequest
 
@@ -32,12 +31,12 @@ USUAL = (
 """Site that is searched for by default, by a word in the name of the bone's label."""
 JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
 """Distance from the site across its normal within which the surface is a joint's [mm]: half of the glenoid's height of
-37 mm, and a cap of the heads, whose radii are 21 to 27 (`meshes.surfaces.glenoid`, `meshes.surfaces.site_search`)."""
+37 mm, and a cap of the heads, whose radii are 21 to 27 (`meshes.surfaces.glenoid`, `meshes.surfaces.landmarks`)."""
 KEYS = {
     "anatomy.centre_mm": "site",
     "anatomy.normal": "normal",
     "anatomy.scale_mm": "spacing in the header",
-    "file must": "source must",
+    "file": "source",
 }
 """Options of an import by the keys of a scene."""
 FEED_MM_S = 2.0
@@ -77,7 +76,7 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
     """
     point = request.point_mm
     normal = request.normal_lps
-    with _own_words():
+    with names_of_caller(KEYS):
         if isinstance(request.site, str) and request.is_markups:
             marked = read_site(Path(request.site))
             point = _three(marked.centre_mm)
@@ -104,24 +103,12 @@ def _three(numbers: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
 
 def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
     """Search for a site, and report its score and that of the second best."""
-    with _own_words():
+    with names_of_caller(KEYS):
         found = find_site(kind, surface)
     second = found.second_centre_mm is not None
     other = f"the next best place scores {found.second_score:.2f}" if second else "no other place came near"
     site = Placed(found.site, kind, JOINTS_MM.get(kind, 0.0))
     return site, f"site: {kind} {found.site.confidence}; {other}"
-
-
-@contextmanager
-def _own_words() -> Iterator[None]:
-    """Name options of an import in errors that name keys of a scene."""
-    try:
-        yield
-    except InputError as error:
-        message = str(error)
-        for key, word in KEYS.items():
-            message = message.replace(key, word)
-        raise InputError(message) from error
 
 
 def kept_clear(request: ImportRequest, labels: Labels | None, report: Progress) -> tuple[dict[str, Surface], list[str]]:
@@ -137,7 +124,7 @@ def kept_clear(request: ImportRequest, labels: Labels | None, report: Progress) 
     with names_of_caller({"label": "keep_clear"}):
         wanted = [labels.names[labels.number(name)] for name in request.keep_clear]
     if len(set(wanted)) < len(wanted):
-        raise InputError(f"keep_clear must name each label once, got {', '.join(request.keep_clear)}: leave one out")
+        raise InputError("keep_clear", "name each label once", ", ".join(request.keep_clear), "leave one out")
     found = {}
     sentences = []
     for name, plain in zip(wanted, plain_names(wanted), strict=True):
@@ -186,18 +173,22 @@ def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> 
         return None
     name = request.path.name
     if at is None:
-        raise InputError(f"site must be given with a path, got none for {name}: give a point near its start by --site")
+        raise InputError("site", "be given with a path", f"none for {name}", "give a point near its start by --site")
     path = read_toolpath(request.path, request.coordinates)
     if path.feeds_mm_s is not None and request.feed_mm_s is not None:
         raise InputError(
-            f"feed_mm_s must be left out for a path that states its own, got {request.feed_mm_s:g} for {name}: leave "
-            "it out"
+            "feed_mm_s",
+            "be left out for a path that states its own",
+            f"{request.feed_mm_s:g} for {name}",
+            "leave it out",
         )
     depth = depth_along(path, surface)
     if depth.deepest_mm <= 0.0:
         raise InputError(
-            f"path must enter the bone, got {name}, which stays {-depth.deepest_mm:.3g} mm outside: check its frame by "
-            "--coordinates LPS or RAS"
+            "path",
+            "enter the bone",
+            f"{name}, which stays {-depth.deepest_mm:.3g} mm outside",
+            "check its frame by --coordinates LPS or RAS",
         )
     table = to_replay(path, at.site, feed_mm_s=request.feed_mm_s or FEED_MM_S, clearance_mm=CLEARANCE_MM)
     length = float(np.linalg.norm(np.diff(path.points_mm, axis=0), axis=1).sum())

@@ -70,20 +70,24 @@ class ImportRequest:
             require_range("threshold", self.threshold, -1e9, 1e9, "use about 226 for CT")
         if self.is_tooth:
             if self.labels is None:
-                raise InputError(f"labels must be given for site {self.site}, got nothing: give --labels FILE")
+                raise InputError("labels", f"be given for site {self.site}", "nothing", "give --labels FILE")
             self._leave_out("for a tooth", "region", "density", "threshold", "path", "keep_clear", "parts", "crop_mm")
         elif self.labels is not None and self.region is None:
             raise InputError(
-                "region must be given with labels, got nothing: name the label that is the bone, such as --region "
-                "scapula_left"
+                "region",
+                "be given with labels",
+                "nothing",
+                "name the label that is the bone, such as --region scapula_left",
             )
         self._require_points()
         if self.normal is not None and self.point_mm is None:
             self._leave_out("unless site is a point", "normal", remedy="give the point too, or leave it out")
         if isinstance(self.site, str) and not self.is_markups and self.site not in NAMED_SITES:
             raise InputError(
-                f"site must be one of {', '.join(NAMED_SITES)}, a point in mm or a .mrk.json file, got {self.site}"
-                f"{nearest(self.site, NAMED_SITES)}: choose one of these"
+                "site",
+                f"be one of {', '.join(NAMED_SITES)}, a point in mm or a .mrk.json file",
+                f"{self.site}{nearest(self.site, NAMED_SITES)}",
+                "choose one of these",
             )
         if self.feed_mm_s is not None:
             require_positive("feed_mm_s", self.feed_mm_s, "use about 2")
@@ -94,7 +98,7 @@ class ImportRequest:
         if self.is_soft:
             self._leave_out("for a soft organ", "density", "threshold", "path", "keep_clear", "like", "crop_mm")
             if isinstance(self.site, str):
-                raise InputError(f"site must be a point for a soft organ, got {self.site}: give X,Y,Z in mm")
+                raise InputError("site", "be a point for a soft organ", self.site, "give X,Y,Z in mm")
 
     def _leave_out(self, when: str, *names: str, remedy: str = "leave it out") -> None:
         """Raise for an option that is given where it has no effect."""
@@ -104,26 +108,30 @@ class ImportRequest:
             if value != unset.get(name):
                 shown = ", ".join(value) if name in ("keep_clear", "parts") else value
                 shown_name = self._IN_MESSAGES.get(name, name)
-                raise InputError(f"{shown_name} must be left out {when}, got {shown}: {remedy}")
+                raise InputError(shown_name, f"be left out {when}", shown, remedy)
 
     def _require_points(self) -> None:
         """Raise for coordinates that are not finite, or whose frame is unknown or of no numbers."""
         for name, points in (("site", [self.site]), ("normal", [self.normal]), ("crop", self.crop_mm or ())):
             if any(as_vector(each) is None for each in points if each is not None and not isinstance(each, str)):
-                raise InputError(f"{name} must be of three finite numbers, got {points}: give x, y, z")
+                raise InputError(name, "be of three finite numbers", points, "give x, y, z")
         if self.coordinates not in TO_LPS:
-            raise InputError(f"coordinates must be LPS or RAS, got {self.coordinates}: give the frame of the numbers")
+            raise InputError("coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers")
         path_in_numbers = self.path is not None and self.path.suffix.lower() not in MARKUPS
         in_numbers = path_in_numbers or self.crop_mm is not None or self.point_mm is not None
         if self.coordinates == "RAS" and not in_numbers:
             raise InputError(
-                "coordinates must be left out unless crop, a site or a path is given in numbers, got RAS: files of "
-                "markups state their own frame; leave it out"
+                "coordinates",
+                "be left out unless crop, a site or a path is given in numbers",
+                "RAS",
+                "files of markups state their own frame; leave it out",
             )
         if self.crop_mm is not None and any(low >= high for low, high in zip(*self.crop_mm, strict=True)):
             raise InputError(
-                f"crop must have its lowest corner first, got {in_brackets(self.crop_mm[0])} and "
-                f"{in_brackets(self.crop_mm[1])}: exchange them along the axes where it has not"
+                "crop",
+                "have its lowest corner first",
+                f"{in_brackets(self.crop_mm[0])} and {in_brackets(self.crop_mm[1])}",
+                "exchange them along the axes where it has not",
             )
 
     @property

@@ -63,15 +63,17 @@ class Prony:
     def __post_init__(self) -> None:
         if len(self.g) != len(self.tau_s) or not self.g:
             raise InputError(
-                f"tau_s must hold one time for each of g, got {len(self.g)} shares and {len(self.tau_s)} times: "
-                "give as many times as shares, at least one"
+                "tau_s",
+                "hold one time for each of g",
+                f"{len(self.g)} shares and {len(self.tau_s)} times",
+                "give as many times as shares, at least one",
             )
         for name, values in (("g", self.g), ("tau_s", self.tau_s)):
             for index, value in enumerate(values):
                 require_positive(f"{name}[{index}]", value, "leave out a term that does not relax")
         total = math.fsum(self.g)
         if total > 1.0 - 1e-9:
-            raise InputError(f"g must sum to less than 1, got {total:g}: a solid keeps a share g_inf, lower a share")
+            raise InputError("g", "sum to less than 1", f"{total:g}", "a solid keeps a share g_inf, lower a share")
 
     @cached_property
     def retardation(self) -> Spectrum:

@@ -75,9 +75,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     try:
         import h5py
     except ImportError:
-        raise InputError(
-            f"{what} must have what reads it installed, got no h5py: pip install 'tissue-sim[h5]'"
-        ) from None
+        raise InputError(what, "have what reads it installed", "no h5py", "pip install 'tissue-sim[h5]'") from None
     require_regular(path)
     try:
         with h5py.File(path, "r") as file:
@@ -86,7 +84,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
         raise
     except Exception as problem:  # h5py raises a dozen kinds for a damaged file
         raise InputError(
-            f"{what} must be a whole HDF5 file, got {path} ({' '.join(str(problem).split())}): export it again"
+            what, "be a whole HDF5 file", f"{path} ({' '.join(str(problem).split())})", "export it again"
         ) from None
 
 
@@ -98,7 +96,7 @@ class _Where:
     what: str
 
     def error(self, requirement: str, got: str, remedy: str) -> InputError:
-        return InputError(f"{self.what} must {requirement}, got {got} in {self.path}: {remedy}")
+        return InputError(self.what, requirement, f"{got} in {self.path}", remedy)
 
 
 def _read(file: Any, where: _Where) -> DrillingRecording:

@@ -40,9 +40,9 @@ def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], fl
     except InputError:
         raise
     except Exception:  # NumPy and zipfile raise a dozen kinds for a damaged archive
-        raise InputError(f"poses must be a whole file that a run wrote, got {path}: run the scene again") from None
+        raise InputError("poses", "be a whole file that a run wrote", path, "run the scene again") from None
     if version != FORMAT:
-        raise InputError(f"poses must be of format {FORMAT}, got {version} in {path}: run the scene again")
+        raise InputError("poses", f"be of format {FORMAT}", f"{version} in {path}", "run the scene again")
     whole = poses.ndim == 2 and poses.shape[1] == COLUMNS and np.isfinite(poses).all()
     if (
         not whole
@@ -50,9 +50,7 @@ def read_poses(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], fl
         or origin.shape != (3,)
         or not np.isfinite([*origin, spacing]).all()
     ):
-        raise InputError(
-            f"poses must hold {COLUMNS} finite columns in the order of ticks, got {path}: run the scene again"
-        )
+        raise InputError("poses", f"hold {COLUMNS} finite columns in the order of ticks", path, "run the scene again")
     return poses, origin, spacing
 
 

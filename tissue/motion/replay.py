@@ -49,8 +49,10 @@ class GivenPoses(Motion):
         if extent_m > FARTHEST_M:
             # The carving visits all that a tool sweeps, and one damaged number would make that endless.
             raise InputError(
-                f"poses must lie within {FARTHEST_M:g} m of each other, got {extent_m:.3g} m: "
-                "leave damaged rows out, and check the unit of the positions"
+                "poses",
+                f"lie within {FARTHEST_M:g} m of each other",
+                f"{extent_m:.3g} m",
+                "leave damaged rows out, and check the unit of the positions",
             )
         self.duration_s = float(times_s[-1] - times_s[0])
         self._tips, self._rotations = tips_m, turns.as_matrix()
@@ -118,9 +120,7 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
         If the file is missing, lacks a column, holds values that are not finite, or its times do not increase.
     """
     if not is_file(path):
-        raise InputError(
-            f"motion.file must be an existing file of poses, got {path}: give a CSV such as a run's trace.csv"
-        )
+        raise InputError("motion.file", "be an existing file of poses", path, "give a CSV such as a run's trace.csv")
     if path.suffix.lower() in RECORDINGS:
         held = read_drilling(path, what="motion.file")
         _require_short(float(held.times_s[-1]), path)
@@ -134,24 +134,26 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
             missing = [name for name in ("time_s", *POSE_COLUMNS) if name not in names]
             rows = [] if missing else [_pose(row, reader.line_num, path) for row in reader]
     except (UnicodeDecodeError, csv.Error):
-        raise InputError(f"motion.file must be a CSV table, got other data in {path}: export it as text") from None
+        raise InputError("motion.file", "be a CSV table", f"other data in {path}", "export it as text") from None
     if missing:
-        raise InputError(f"motion.file must have the columns {', '.join(missing)}, got {path} without them: add them")
+        raise InputError("motion.file", f"have the columns {', '.join(missing)}", f"{path} without them", "add them")
     if len(rows) < 2:
-        raise InputError(f"motion.file must hold at least two poses, got {len(rows)} in {path}: record more")
+        raise InputError("motion.file", "hold at least two poses", f"{len(rows)} in {path}", "record more")
     poses = np.array(rows)
     back = np.flatnonzero(np.diff(poses[:, 0]) <= 0.0)
     if back.size:
         before, after = poses[back[0] : back[0] + 2, 0]
         raise InputError(
-            f"motion.file must have increasing time_s, got {after:g} after {before:g} in {path}: sort its rows"
+            "motion.file", "have increasing time_s", f"{after:g} after {before:g} in {path}", "sort its rows"
         )
     _require_short(poses[-1, 0] - poses[0, 0], path)
     if (wrong := first_off_unit(poses[:, 4:])) is not None:
         length = float(np.linalg.norm(poses[wrong, 4:]))
         raise InputError(
-            f"motion.file must hold unit quaternions, got one of length {length:.4g} at {poses[wrong, 0]:g} s in "
-            f"{path}: give tool_qx, tool_qy, tool_qz and tool_qw of a rotation, and 0, 0, 0, 1 for none"
+            "motion.file",
+            "hold unit quaternions",
+            f"one of length {length:.4g} at {poses[wrong, 0]:g} s in {path}",
+            "give tool_qx, tool_qy, tool_qz and tool_qw of a rotation, and 0, 0, 0, 1 for none",
         )
     with names_of_caller({"poses": "motion.file"}):
         return ReplayPoses(poses[:, 0], poses[:, 1:4] * 1e-3, poses[:, 4:], step_s=step_s)
@@ -160,7 +162,7 @@ def read_replay(path: Path, *, step_s: float) -> ReplayPoses:
 def _require_short(lasts_s: float, path: Path) -> None:
     """Refuse what lasts longer than a run may."""
     if lasts_s > LONGEST_S:
-        raise InputError(f"motion.file must last at most {LONGEST_S:g} s, got {lasts_s:g} in {path}: cut it")
+        raise InputError("motion.file", f"last at most {LONGEST_S:g} s", f"{lasts_s:g} in {path}", "cut it")
 
 
 def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:
@@ -173,8 +175,10 @@ def _pose(row: dict[str, str], line: int, path: Path) -> list[float]:
             value = float("nan")
         if not isfinite(value):
             raise InputError(
-                f"motion.file must hold finite numbers, got {row[name] or 'nothing'} for {name} in line {line} of "
-                f"{path}: mend that line"
+                "motion.file",
+                "hold finite numbers",
+                f"{row[name] or 'nothing'} for {name} in line {line} of {path}",
+                "mend that line",
             )
         values.append(value)
     return values

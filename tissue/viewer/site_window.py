@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from meshes.surfaces.glenoid_search import sample_surface
-from meshes.surfaces.plane_fit import normal_by_plane
+from meshes.surfaces.site import normal_near, sample_surface
 from meshes.surfaces.surface import Surface, read_surface
 from tissue.figures.figure import BONE
 from tissue.scene.site_text import anatomy_of, save_site
@@ -67,7 +66,7 @@ class SiteWindow:
         self._size_mm = max(self._surface.report.size_mm)
         self.centre_mm, self.normal = (_numbers(anatomy.get(key)) for key in ("centre_mm", "normal"))
         if self.centre_mm is not None and self.normal is None:
-            self.normal = normal_by_plane(self._samples, 1e-3 * self.centre_mm)
+            self.normal = normal_near(self._samples, 1e-3 * self.centre_mm)
         self.text = ""
         self.plotter = new_plotter(SIZE, title=f"tissue: {folder.absolute().name}", off_screen=off_screen)
         bone = pyvista.PolyData.from_regular_faces(1e3 * self._surface.vertices_m, self._surface.faces.astype(int))
@@ -87,7 +86,7 @@ class SiteWindow:
         if found is None:
             return False
         _, self.centre_mm = found
-        self.normal = normal_by_plane(self._samples, 1e-3 * self.centre_mm)
+        self.normal = normal_near(self._samples, 1e-3 * self.centre_mm)
         self._draw("picked, not saved yet: press Return", UNSAVED)
         return True
 

@@ -194,40 +194,14 @@ def test_dicom_folder(tmp_path):
     assert volume.volume_m3() == pytest.approx(4 * 5 * 5 * 5e-4**3)
 
 
-def test_refused_files(tmp_path):
-    missing = tmp_path / "gone.nii.gz"
-    assert refusal_of(lambda: read_image(missing)) == (
-        f"file must exist, got {missing}: check the path, which is taken from the working directory"
-    )
-    pattern = tmp_path / "*.tif"
-    assert refusal_of(lambda: read_image(pattern)) == (
-        f"file must exist, got {pattern}, which matches nothing: check the folder and the pattern"
-    )
-    folder = tmp_path / "none"
-    folder.mkdir()
-    assert refusal_of(lambda: read_image(folder)) == (
-        "file must hold images, got the folder none without DICOM files or TIFF slices: give the folder that holds the "
-        "slices"
-    )
-    empty = tmp_path / "empty.vti"
-    empty.touch()
-    assert refusal_of(lambda: read_image(empty)) == (
-        "file must hold an image, got the empty file empty.vti: export it again"
-    )
-    noise = tmp_path / "noise.vti"
-    noise.write_text("noise")
-    assert refusal_of(lambda: read_image(noise)).startswith("file must ")
-    broken = tmp_path / "broken.tif"
-    broken.write_text("noise")
-    message = refusal_of(lambda: read_image(broken, spacing_mm=1))
-    assert message.startswith("file must be a readable TIFF slice, got broken.tif (")
-    surface = tmp_path / "surface.vtp"
-    import pyvista
-
-    pyvista.Sphere().save(surface)
-    assert refusal_of(lambda: read_image(surface)).startswith(
-        "file must be an image volume of a known format, got surface.vtp: use a .nii.gz"
-    )
+@pytest.mark.parametrize("name", ["gone.nii.gz", "gone*.tif", "empty.vti", "noise.vti", "broken.tif", "surface.vtp"])
+def test_refused_files(tmp_path, name):
+    (tmp_path / "empty.vti").touch()
+    for noise in ("noise.vti", "broken.tif", "surface.vtp"):
+        (tmp_path / noise).write_text("noise")
+    with pytest.raises(InputError) as refusal:
+        read_image(tmp_path / name, spacing_mm=1)
+    assert refusal.value.argument == "file" and name in str(refusal.value.value)
 
 
 def test_values_that_are_not_numbers(tmp_path):

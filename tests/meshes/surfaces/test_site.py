@@ -12,7 +12,8 @@ from meshes.base.placement import Placement
 from meshes.shapes import sdf
 from meshes.surfaces.bone_surface import surface_anatomy
 from meshes.surfaces.glenoid import glenoid
-from meshes.surfaces.site import Site, find_glenoid, place_site
+from meshes.surfaces.landmarks import find_glenoid
+from meshes.surfaces.site import Site, place_site
 from meshes.surfaces.surface import read_surface, surface_from_triangles
 from meshes.voxels.grid import Grid
 from meshes.voxels.mesh_sampling import TriangleSampler
@@ -141,21 +142,19 @@ def test_without_a_normal_it_is_that_of_the_surface_and_x_lies_along_the_directi
     [
         (
             {"centre_mm": (0, 0, 30), "normal": (0, 0, 1), "along": (0, 0, -3)},
-            "anatomy.along must lead across the normal (0, 0, 1), got (0, 0, -1): give a direction in the plane of the "
-            "site",
+            ("anatomy.along", "(0, 0, -1)"),
         ),
         (
             {"centre_mm": (0, 0)},
-            "anatomy.centre_mm must be three finite numbers, got (0, 0): use for example (0, 0, 1)",
+            ("anatomy.centre_mm", "(0, 0)"),
         ),
         (
             {"centre_mm": (0, 0, 30), "normal": (0, 0, 0)},
-            "anatomy.normal must not be zero, got (0, 0, 0): give the outward direction",
+            ("anatomy.normal", "(0, 0, 0)"),
         ),
         (
             {"centre_mm": (0, 0, 300), "normal": (0, 0, 1)},
-            "anatomy.centre_mm must lie within 10 mm of the surface along the normal, got (0, 0, 300) in triangles: give a "
-            "point on the face, in mm in the frame of the file; the nearest corner is (0, 0, 30)",
+            ("anatomy.centre_mm", "(0, 0, 300) in triangles"),
         ),
     ],
 )
@@ -163,30 +162,26 @@ def test_refused_sites(options, message):
     surface = as_surface(trimesh.creation.icosphere(subdivisions=3, radius=30.0))
     with pytest.raises(InputError) as refusal:
         place_site(surface, **options)
-    assert str(refusal.value) == message
+    assert (refusal.value.argument, str(refusal.value.value)) == message
 
 
 def test_a_bone_without_a_glenoid_is_refused():
-    message = (
-        r"^file must show a glenoid of about 28 x 37 mm, got none in triangles \(best face .*\): check "
-        r"anatomy\.scale_mm, or give anatomy\.centre_mm and anatomy\.normal$"
-    )
-    with pytest.raises(InputError, match=message):
+    with pytest.raises(InputError, match=r"glenoid.*51.* mm \(score 0.00\)"):
         find_glenoid(as_surface(trimesh.creation.icosphere(subdivisions=4, radius=60.0)))
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"cortical_thickness_mm": -1}, "cortical_thickness_mm must be in [0, 10], got -1: use 1.9"),
-        ({"trabecular_density_kg_m3": math.nan}, "trabecular_density_kg_m3 must be in [50, 2500], got nan: use 350"),
+        ({"cortical_thickness_mm": -1}, ("cortical_thickness_mm", "-1")),
+        ({"trabecular_density_kg_m3": math.nan}, ("trabecular_density_kg_m3", "nan")),
     ],
 )
 def test_refused_anatomy(options, message):
     surface = as_surface(trimesh.creation.icosphere(subdivisions=2, radius=30.0))
     with pytest.raises(InputError) as refusal:
         surface_anatomy(surface, AT_ORIGIN, **options)
-    assert str(refusal.value) == message
+    assert (refusal.value.argument, str(refusal.value.value)) == message
 
 
 @pytest.mark.parametrize(

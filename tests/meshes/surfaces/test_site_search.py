@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from meshes.base.errors import InputError
 from meshes.images.reading import read_image
 from meshes.images.threshold_surface import image_triangles
-from meshes.surfaces.site_search import SITE_KINDS, find_site
+from meshes.surfaces.landmarks import SITE_KINDS, find_site
 from meshes.surfaces.surface import read_surface, surface_from_triangles
 
 ANATOMY = Path(__file__).resolve().parents[4] / "shared" / "anatomy"
@@ -100,7 +100,7 @@ NO_BONES = {
     ],
 )
 def test_what_is_no_bone_is_refused(kind, shape):
-    with pytest.raises(InputError, match=r"^file must show a .*, got .*: check anatomy.scale_mm.*, or give "):
+    with pytest.raises(InputError, match=r"file must show a .*, got .*: check its unit"):
         find_site(kind, as_surface(NO_BONES[shape]))
 
 

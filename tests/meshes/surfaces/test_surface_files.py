@@ -159,81 +159,62 @@ def fins():
 @pytest.mark.parametrize(
     ("mesh", "options", "message"),
     [
-        (flat_sheet(), {}, "surface must have thickness, got a flat one in bone.stl: use a closed surface"),
+        (flat_sheet(), {}, ("surface", "a flat one in bone.stl")),
         (
             open_box(),
             {},
-            "surface must enclose a solid, got 4 open and 0 non-manifold edges in bone.stl, the largest hole "
-            "2.5e+03 mm2: close it in a mesh editor",
+            ("surface", "4 open and 0 non-manifold edges in bone.stl, the largest hole 2.5e+03 mm2"),
         ),
         (
             fins(),
             {},
-            "surface must enclose a solid, got 6 open and 1 non-manifold edges in bone.stl, the largest hole "
-            "1.25e+03 mm2: close it in a mesh editor",
+            ("surface", "6 open and 1 non-manifold edges in bone.stl, the largest hole 1.25e+03 mm2"),
         ),
         (
             bone((2.8, 2.3, 1.2)),
             {},
-            "anatomy.scale_mm must be given where the unit is not plain, got none for bone.stl, whose longest side 2.8 "
-            "would be "
-            "2.8 mm in millimetres and 2.8 m in metres: use millimetres per unit, for example 50",
+            (
+                "anatomy.scale_mm",
+                "none for bone.stl, whose longest side 2.8 would be 2.8 mm in millimetres and 2.8 m in metres",
+            ),
         ),
         (
             bone((3e6, 2e6, 1e6)),
             {"scale_mm": 1},
-            "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 1, which makes bone.stl 3 km long: use about "
-            "4.7e-05",
+            ("anatomy.scale_mm", "1, which makes bone.stl 3 km long"),
         ),
         (
             bone((3, 2, 1)),
             {"scale_mm": 1e-3},
-            "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 0.001, which makes bone.stl 3 µm long: use about "
-            "47",
+            ("anatomy.scale_mm", "0.001, which makes bone.stl 3 µm long"),
         ),
         (
             bone((0.3, 0.2, 0.1)),
             {"scale_mm": 1e6},
-            "anatomy.scale_mm must make the longest side 1 mm to 1 m, got 1e+06, which makes bone.stl 300 m long: use about "
-            "1000",
+            ("anatomy.scale_mm", "1e+06, which makes bone.stl 300 m long"),
         ),
         (
             bone(),
             {"scale_mm": float("nan")},
-            "anatomy.scale_mm must be positive and finite, got nan: use 1 for millimetres, 1000 for metres",
+            ("anatomy.scale_mm", "nan"),
         ),
     ],
 )
 def test_refused_surfaces(write, mesh, options, message):
     with pytest.raises(InputError) as refusal:
         read_surface(write(mesh), **options)
-    assert str(refusal.value) == message
+    assert (refusal.value.argument, str(refusal.value.value)) == message
 
 
-def test_refused_files(tmp_path):
-    def message(path):
-        with pytest.raises(InputError) as refusal:
-            read_surface(path)
-        return str(refusal.value)
-
-    missing = tmp_path / "gone.stl"
-    assert message(missing) == (
-        f"file must exist, got {missing}: check the path, which is taken from the working directory"
-    )
-    assert message(tmp_path / "bone.step") == (
-        "file must end in .stl, .obj, .ply, .vtk, .vtp, got bone.step: convert it, or read a volume with read_image"
-    )
-    for suffix in (".stl", ".vtp"):
-        empty = tmp_path / f"empty{suffix}"
-        empty.touch()
-        assert message(empty) == f"file must hold a surface, got the empty file empty{suffix}: export it again"
-    for suffix in (".stl", ".ply", ".vtk", ".vtp"):
-        noise = tmp_path / f"noise{suffix}"
-        noise.write_bytes(b"not a mesh at all\n" * 20)
-        assert message(noise).startswith("file must ") and message(noise).endswith(("again", "triangles"))
-    cloud = tmp_path / "cloud.obj"
-    cloud.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
-    assert "cloud.obj" in message(cloud)
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj", ".vtk", ".vtp"])
+@pytest.mark.parametrize("content", [None, b"", b"not a mesh at all\n" * 20, b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"])
+def test_refused_files(tmp_path, suffix, content):
+    file = tmp_path / f"bone{suffix}"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(InputError) as refusal:
+        read_surface(file)
+    assert refusal.value.argument == "file" and file.name in str(refusal.value.value)
 
 
 def test_vertices_that_are_not_numbers():

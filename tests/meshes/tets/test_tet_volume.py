@@ -5,7 +5,7 @@ import pytest
 
 from meshes.shapes.sdf import sphere
 from meshes.tets.stuffing import stuffed
-from meshes.tets.volume import with_volume
+from meshes.tets.tetrahedralise import with_volume
 
 RADIUS_M = 0.05
 VOLUME_M3 = 4.0 / 3.0 * np.pi * RADIUS_M**3

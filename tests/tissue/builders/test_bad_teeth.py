@@ -67,9 +67,8 @@ def test_a_layer_file_that_is_missing_is_named(refused, here):
 
 def test_enamel_alone_is_no_tooth(refused, here):
     enamel = write_ball(here / "enamel.stl", 5.0)
-    assert refused("run", "molar", *FORCE_ONLY, "--set", f"anatomy.enamel_file={enamel}") == (
-        "anatomy.dentin_file must be given, got enamel: add the dentin"
-    )
+    message = refused("run", "molar", *FORCE_ONLY, "--set", f"anatomy.enamel_file={enamel}")
+    assert "anatomy.dentin_file" in message and "add the dentin" in message
 
 
 @pytest.mark.parametrize("part", ["stress={}", "heat=true"])

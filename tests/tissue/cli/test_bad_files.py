@@ -66,8 +66,8 @@ MESHES = {
     "missing": (None, (), ("anatomy.file", "missing.stl")),
     "empty": ((), (), ("anatomy.file", "empty file")),
     "flat": (CUBE * (1, 1, 0), CUBE_FACES, ("anatomy.file", "thickness")),
-    "open": (CUBE, CUBE_FACES[2:], ("anatomy.file", "anatomy.scale_mm")),
-    "fin": (FIN, (*CUBE_FACES, (0, 1, 10)), ("anatomy.file", "anatomy.centre_mm")),
+    "open": (CUBE, CUBE_FACES[2:], ("anatomy.file", "glenoid of about 28 x 37 mm")),
+    "fin": (FIN, (*CUBE_FACES, (0, 1, 10)), ("anatomy.file", "glenoid of about 28 x 37 mm")),
     "tiny": (CUBE * 1e-9, CUBE_FACES, ("anatomy.scale_mm", "3e-05 µm", "4.7e+09")),
     "huge": (CUBE * 1e6, CUBE_FACES, ("anatomy.scale_mm", "30 km", "4.7e-06")),
 }

@@ -207,7 +207,7 @@ class SurfaceContact:
             If the pose is not finite or not a rotation, or the tool starts inside the organ.
         """
         if abs(np.linalg.det(rotation) - 1.0) > 1e-6 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
-            raise InputError("rotation must be a rotation matrix, got another or NaN: make its columns orthonormal")
+            raise InputError("rotation", "be a rotation matrix", "another or NaN", "make its columns orthonormal")
         self.forget()
         result = self.solve(tip_m, rotation)
         depth = result.penetration_m
@@ -217,8 +217,10 @@ class SurfaceContact:
         if touching and max(deepest, depth) > START_M:
             at = ", ".join(f"{1e3 * each:.4g}" for each in tip_m)
             raise InputError(
-                f"motion must start outside the organ, got a tool at ({at}) mm that enters it by about "
-                f"{1e3 * deepest:.3g} mm: start farther away"
+                "motion",
+                "start outside the organ",
+                f"a tool at ({at}) mm that enters it by about {1e3 * deepest:.3g} mm",
+                "start farther away",
             )
         self._keep(tip_m, rotation)
 
@@ -286,7 +288,7 @@ class SurfaceContact:
             If the pose is not finite.
         """
         if not isfinite(tip_m.sum() + rotation.sum()):
-            raise InputError(f"tip_m and rotation must be finite, got {tip_m}, {rotation.tolist()}: stop the tool")
+            raise InputError("tip_m and rotation", "be finite", f"{tip_m}, {rotation.tolist()}", "stop the tool")
         if not self._placed:
             self._keep(tip_m, rotation)
         self._pose.host[0] = tip_m
@@ -326,10 +328,12 @@ def _require_surface(nodes_m: Array, faces: Ints, compliance_m_N: Array) -> None
     count = len(nodes_m)
     if np.shape(compliance_m_N) != (3 * count, 3 * count) or compliance_m_N.dtype != np.float64:
         raise InputError(
-            f"compliance_m_N must be float64 of shape {(3 * count, 3 * count)}, got {compliance_m_N.dtype} "
-            f"of shape {np.shape(compliance_m_N)}: condense it to the nodes that may be touched"
+            "compliance_m_N",
+            f"be float64 of shape {(3 * count, 3 * count)}",
+            f"{compliance_m_N.dtype} of shape {np.shape(compliance_m_N)}",
+            "condense it to the nodes that may be touched",
         )
     if not np.isfinite(nodes_m).all():
-        raise InputError("nodes_m must be finite, got NaN or infinity: repair the mesh")
+        raise InputError("nodes_m", "be finite", "NaN or infinity", "repair the mesh")
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
-        raise InputError(f"faces must name nodes 0 to {count - 1}, got others or none: number them so")
+        raise InputError("faces", f"name nodes 0 to {count - 1}", "others or none", "number them so")

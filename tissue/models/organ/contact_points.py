@@ -48,9 +48,10 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[NDArr
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     if longest.max() > MOST_DIVISIONS * spacing_m:
         raise InputError(
-            f"nodes_m must lie closer to each other under this tool, got an edge of {1e3 * longest.max():.4g} mm, more "
-            f"than {MOST_DIVISIONS} times {1e3 * spacing_m:.4g} mm: mesh the touchable surface finer, "
-            "or take a larger tool"
+            "touch_edge_m",
+            "be shorter under this tool",
+            f"an edge of {1e3 * longest.max():.4g} mm, more than {MOST_DIVISIONS} times {1e3 * spacing_m:.4g} mm",
+            "mesh the touchable surface finer, or take a larger tool",
         )
     division = np.maximum(np.ceil(longest / spacing_m - 1e-9), 1).astype(int)
     node_area = np.zeros(len(nodes_m))

@@ -73,8 +73,10 @@ def _follower(organ: "SoftOrgan", law: Hyperelastic, cell_factors: Array, nodes:
     at_rest = organ.factor.solver
     if not isinstance(at_rest, DirectSolver):
         raise InputError(
-            f"organ.law must be linear on more than {FACTOR_UNKNOWNS:,} unknowns, got {len(organ.body.free):,}: "
-            "use longer edges"
+            "organ.law",
+            f"be linear on more than {FACTOR_UNKNOWNS:,} unknowns",
+            f"{len(organ.body.free):,}",
+            "use longer edges",
         )
 
     def factorised(stiffness: bsr_array) -> DirectSolver:

@@ -155,8 +155,10 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
         if probe.distance((points - point_m - clear * rotation[:, 2]) @ rotation)[0].min() > 0.0:
             return clear
     raise InputError(
-        f"point_m must have a free path before it, got a tool that meets the organ elsewhere {1e3 * clear:.3g} mm "
-        "before the place: come along another direction, or take a smaller tool"
+        "point_m",
+        "have a free path before it",
+        f"a tool that meets the organ elsewhere {1e3 * clear:.3g} mm before the place",
+        "come along another direction, or take a smaller tool",
     )
 
 
@@ -164,8 +166,10 @@ def _require_place(probe: ProbeShape, before_m: float) -> None:
     """Refuse a tool that meets the organ far before the place; one that comes slantwise touches a little before it."""
     if before_m > SLANTED * probe.size_m[0]:
         raise InputError(
-            f"point_m must be the first that the tool touches, got one that meets the organ {1e3 * before_m:.3g} mm "
-            "before it: come along another direction, or take a smaller tool"
+            "point_m",
+            "be the first that the tool touches",
+            f"one that meets the organ {1e3 * before_m:.3g} mm before it",
+            "come along another direction, or take a smaller tool",
         )
 
 

@@ -95,7 +95,7 @@ class CylinderProbe(ProbeShape):
         require_positive("edge_m", self.edge_m, "give the edge a small radius, as a turned edge has")
         if self.edge_m >= self.radius_m:
             raise InputError(
-                f"edge_m must be below radius_m = {self.radius_m:g}, got {self.edge_m:g}: round the edge less"
+                "edge_m", f"be below radius_m = {self.radius_m:g}", f"{self.edge_m:g}", "round the edge less"
             )
 
     @property
@@ -148,11 +148,11 @@ class ShellProbe(ProbeShape):
             ("areas_m2", self.areas_m2, (count,)),
         ):
             if count == 0 or np.shape(value) != shape:
-                raise InputError(f"{name} must have shape {shape} and a point, got {np.shape(value)}: sample the tool")
+                raise InputError(name, f"have shape {shape} and a point", np.shape(value), "sample the tool")
             if not np.isfinite(value).all():
-                raise InputError(f"{name} must be finite, got NaN or infinity: repair the tool's surface")
+                raise InputError(name, "be finite", "NaN or infinity", "repair the tool's surface")
         if np.abs(np.linalg.norm(self.normals, axis=1) - 1.0).max() > 1e-6:
-            raise InputError("normals must have length 1, got others: divide them by their lengths")
+            raise InputError("normals", "have length 1", "others", "divide them by their lengths")
 
     @classmethod
     def from_mesh(cls, mesh: Path | str | object, *, points: int = 300, scale: float = 1.0) -> "ShellProbe":
@@ -177,9 +177,9 @@ class ShellProbe(ProbeShape):
 
         surface = trimesh.Trimesh(*read_triangles(Path(mesh))) if isinstance(mesh, (str, Path)) else mesh
         if not isinstance(surface, trimesh.Trimesh):
-            raise InputError(f"mesh must be a surface of triangles, got {type(surface).__name__}: convert it first")
+            raise InputError("mesh", "be a surface of triangles", type(surface).__name__, "convert it first")
         if not (surface.is_watertight and surface.volume > 0.0):
-            raise InputError(f"mesh must be closed with outward triangles, got {mesh}: repair the tool's surface")
+            raise InputError("mesh", "be closed with outward triangles", mesh, "repair the tool's surface")
         longest = (2.0 * surface.area / points) ** 0.5
         vertices, faces = trimesh.remesh.subdivide_to_size(surface.vertices, surface.faces, 1.5 * longest)
         fine = trimesh.Trimesh(vertices, faces, process=False)

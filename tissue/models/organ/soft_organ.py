@@ -64,8 +64,10 @@ def touchable_patch(space: Space, probe: ProbeShape, tips_m: Array, rotations: A
             ", ".join(f"{1e3 * v:.4g}" for v in corner) for corner in (centres.min(axis=0), centres.max(axis=0))
         )
         raise InputError(
-            "motion must bring the tool to the organ, got a tool that never touches it: move it to the organ between "
-            f"({low}) and ({high}) mm"
+            "motion",
+            "bring the tool to the organ",
+            "a tool that never touches it",
+            f"move it to the organ between ({low}) and ({high}) mm",
         )
     chosen = triangles[nearest < reach * (1.0 + 2.0 * MARGIN_EDGES)]
     nodes, places = np.unique(chosen, return_inverse=True)
@@ -207,7 +209,7 @@ class SoftOrgan:
         self._density = density_kg_m3
         self._law = law
         if law is not None and not (capsule is None and density_kg_m3 is None and prony is None):
-            raise InputError("law must be None with a capsule, a weight or a relaxation, got one: leave them out")
+            raise InputError("law", "be None with a capsule, a weight or a relaxation", "one", "leave them out")
 
     @property
     def mesh(self) -> TetMesh:
@@ -277,8 +279,10 @@ class SoftOrgan:
         touchable, faces = _patches.of(key, lambda: touchable_patch(self.space, probe, tips_m, rotations))
         if self.body.fixed[touchable].all():
             raise InputError(
-                "motion must bring the tool to tissue that can move, got a tool that touches only what is held: move "
-                "it, or change what holds the organ"
+                "motion",
+                "bring the tool to tissue that can move",
+                "a tool that touches only what is held",
+                "move it, or change what holds the organ",
             )
         return touchable, faces
 

@@ -172,8 +172,10 @@ class StressField:
         )
         if not self.compliance.converged:
             raise InputError(
-                "stress.cell_mm must give a tooth that its ligament holds, got a solve that did not converge: "
-                f"use {2e3 * cell_m:g}"
+                "stress.cell_mm",
+                "give a tooth that its ligament holds",
+                "a solve that did not converge",
+                f"use {2000.0 * cell_m:g}",
             )
         self._guess = FirstGuess(
             [(s.displacement_m, f) for s, f in zip(self.compliance.solutions, self.compliance.loads_N, strict=True)]
@@ -308,7 +310,7 @@ def _ligament_springs(
         along_N_m3=along,
     )
     if area == 0.0:
-        raise InputError("anatomy must hold a tooth that something supports, got none: give its ligament or its bone")
+        raise InputError("anatomy", "hold a tooth that something supports", "none", "give its ligament or its bone")
     return springs
 
 
