@@ -32,13 +32,11 @@ LAYERS = (
     ("tissue.models",),
     ("tissue.motion",),
     ("tissue.haptics",),
-    ("tissue.hardware",),
-    ("tissue.builders",),
     ("tissue.simulation",),
-    ("tissue.figures",),
-    ("tissue.viewer", "tissue.evaluation", "tissue.fitting", "tissue.links", "tissue.uncertainty"),
-    ("tissue.reporting", "tissue.importing"),
-    ("tissue.api",),
+    ("tissue.show",),
+    ("tissue.evaluation", "tissue.fitting", "tissue.links"),
+    ("tissue.ct",),
+    ("tissue.objects",),
     ("tissue.cli", "tissue.environments"),
     ("tissue.__main__",),
 )
@@ -139,7 +137,7 @@ def test_running_a_scene_loads_nothing_of_its_evaluation(tmp_path):
         "import sys; from tissue.scene.load import load_scene; from tissue.simulation.simulate import simulate; "
         "run = simulate(load_scene('milling', {'voxels.spacing_mm': 0.8, 'duration_s': 0.02})); "
         f"run.save({str(tmp_path / 'run')!r}); "
-        "print([name for name in sys.modules if name.startswith(('tissue.evaluation', 'tissue.figures', 'tissue.viewer'))])"
+        "print([name for name in sys.modules if name.startswith(('tissue.evaluation', 'tissue.show.figures', 'tissue.show.viewer'))])"
     )
     ended = fresh(code)
     assert (ended.returncode, ended.stdout) == (0, "[]\n"), ended.stderr

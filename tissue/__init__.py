@@ -13,27 +13,27 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from meshes.base.errors import InputError
     from tissue import cutters
-    from tissue.api import calibration, stability, study
-    from tissue.api.assess import Assessment, assess
-    from tissue.api.bone import Bone
-    from tissue.api.comparison import compare
-    from tissue.api.cut import Cut
-    from tissue.api.fit import Fit, fit
-    from tissue.api.loop import Loop
-    from tissue.api.materials import material, material_names
-    from tissue.api.motor import motor_forces
-    from tissue.api.organ import Organ
-    from tissue.api.poses import feed_along
-    from tissue.api.press import Press
-    from tissue.api.register import register
-    from tissue.api.report import report
-    from tissue.api.run import Run, open_run
-    from tissue.api.simulate import simulate
-    from tissue.api.sweep import sweep
-    from tissue.api.tools import ball, flat_punch, probe_from_file
+    from tissue.ct.importing import Imported, import_ct
     from tissue.haptics.device.device import DeviceParameters, Sample
-    from tissue.hardware.search import devices
-    from tissue.importing.importing import Imported, import_ct
+    from tissue.haptics.real.search import devices
+    from tissue.objects import calibration, stability, study
+    from tissue.objects.assess import Assessment, assess
+    from tissue.objects.bone import Bone
+    from tissue.objects.comparison import compare
+    from tissue.objects.cut import Cut
+    from tissue.objects.fit import Fit, fit
+    from tissue.objects.loop import Loop
+    from tissue.objects.materials import material, material_names
+    from tissue.objects.motor import motor_forces
+    from tissue.objects.organ import Organ
+    from tissue.objects.poses import feed_along
+    from tissue.objects.press import Press
+    from tissue.objects.register import register
+    from tissue.objects.report import report
+    from tissue.objects.run import Run, open_run
+    from tissue.objects.simulate import simulate
+    from tissue.objects.sweep import sweep
+    from tissue.objects.tools import ball, flat_punch, probe_from_file
     from tissue.scene.load import load_scene, scene_names, scene_text
     from tissue.scene.scene import Scene
 
@@ -80,45 +80,45 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Assessment": "tissue.api.assess",
-    "Bone": "tissue.api.bone",
-    "Cut": "tissue.api.cut",
+    "Assessment": "tissue.objects.assess",
+    "Bone": "tissue.objects.bone",
+    "Cut": "tissue.objects.cut",
     "DeviceParameters": "tissue.haptics.device.device",
-    "Fit": "tissue.api.fit",
-    "Imported": "tissue.importing.importing",
+    "Fit": "tissue.objects.fit",
+    "Imported": "tissue.ct.importing",
     "InputError": "meshes.base.errors",
-    "Loop": "tissue.api.loop",
-    "Organ": "tissue.api.organ",
-    "Press": "tissue.api.press",
-    "Run": "tissue.api.run",
+    "Loop": "tissue.objects.loop",
+    "Organ": "tissue.objects.organ",
+    "Press": "tissue.objects.press",
+    "Run": "tissue.objects.run",
     "Sample": "tissue.haptics.device.device",
     "Scene": "tissue.scene.scene",
-    "assess": "tissue.api.assess",
-    "ball": "tissue.api.tools",
-    "compare": "tissue.api.comparison",
-    "devices": "tissue.hardware.search",
-    "feed_along": "tissue.api.poses",
-    "fit": "tissue.api.fit",
-    "flat_punch": "tissue.api.tools",
-    "import_ct": "tissue.importing.importing",
+    "assess": "tissue.objects.assess",
+    "ball": "tissue.objects.tools",
+    "compare": "tissue.objects.comparison",
+    "devices": "tissue.haptics.real.search",
+    "feed_along": "tissue.objects.poses",
+    "fit": "tissue.objects.fit",
+    "flat_punch": "tissue.objects.tools",
+    "import_ct": "tissue.ct.importing",
     "load_scene": "tissue.scene.load",
-    "material": "tissue.api.materials",
-    "material_names": "tissue.api.materials",
-    "motor_forces": "tissue.api.motor",
-    "open_run": "tissue.api.run",
-    "probe_from_file": "tissue.api.tools",
-    "register": "tissue.api.register",
-    "report": "tissue.api.report",
+    "material": "tissue.objects.materials",
+    "material_names": "tissue.objects.materials",
+    "motor_forces": "tissue.objects.motor",
+    "open_run": "tissue.objects.run",
+    "probe_from_file": "tissue.objects.tools",
+    "register": "tissue.objects.register",
+    "report": "tissue.objects.report",
     "scene_names": "tissue.scene.load",
     "scene_text": "tissue.scene.load",
-    "simulate": "tissue.api.simulate",
-    "sweep": "tissue.api.sweep",
+    "simulate": "tissue.objects.simulate",
+    "sweep": "tissue.objects.sweep",
 }
 _MODULES = {
-    "calibration": "tissue.api.calibration",
+    "calibration": "tissue.objects.calibration",
     "cutters": "tissue.cutters",
-    "stability": "tissue.api.stability",
-    "study": "tissue.api.study",
+    "stability": "tissue.objects.stability",
+    "study": "tissue.objects.study",
 }
 
 

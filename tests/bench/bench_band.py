@@ -11,15 +11,15 @@ from harness import machine
 from scipy.optimize import brentq
 from scipy.special import ndtri
 
+from tissue.fitting.bands.band import band_of
+from tissue.fitting.bands.figures import LEVELS
+from tissue.fitting.bands.reweighed import Reweighed
+from tissue.fitting.bands.sample import Ranges, normals
 from tissue.materials.constants import constants
 from tissue.materials.prior import Prior
 from tissue.scene.load import load_scene
 from tissue.simulation.load_record import record_loads
 from tissue.simulation.simulate import simulate
-from tissue.uncertainty.band import band_of
-from tissue.uncertainty.figures import LEVELS
-from tissue.uncertainty.reweighed import Reweighed
-from tissue.uncertainty.sample import Ranges, normals
 
 ENDS = (0.05, 0.5, 0.95)
 SEEDS = range(10)

@@ -10,9 +10,9 @@ from time import perf_counter, process_time
 from harness import machine, table  # adds the fixtures to the path
 
 from meshes.base.progress import silent
-from tissue.builders.registry import build
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.load import load_scene
+from tissue.simulation.builders.registry import build
 
 SCENES = ("needle", "liver-press", "palpation")
 

@@ -21,8 +21,8 @@ from haply_service import RemoteService  # noqa: E402
 
 from tissue.haptics.device.safe_device import SafeDevice  # noqa: E402
 from tissue.haptics.device.sample_guard import SampleGuard  # noqa: E402
-from tissue.hardware.haply import HaplyAdapter  # noqa: E402
-from tissue.hardware.mapped import MappedDevice  # noqa: E402
+from tissue.haptics.real.haply import HaplyAdapter  # noqa: E402
+from tissue.haptics.real.mapped import MappedDevice  # noqa: E402
 from tissue.scene.hardware import Hardware  # noqa: E402
 from tissue.simulation.live.clock import WallClock  # noqa: E402
 from tissue.system.tick_priority import TickPriority  # noqa: E402

@@ -26,7 +26,6 @@ from motor_score import recorded_ideal_N
 from prediction_scores import FORCE_LIMIT_N, KNOWN, RECORDED_MS, Kept, scores
 
 from meshes.base.errors import InputError
-from tissue.builders.prediction import trained_predictor
 from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.prediction.contact import Contact, SeesContact
 from tissue.prediction.predictor import Predictor
@@ -34,6 +33,7 @@ from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.load import changed, load_scene
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.prediction import trained_predictor
 
 FIRST_SEED = 20_000
 LATENCIES_MS = (2, 4, 8, 16)

@@ -22,13 +22,13 @@ from typing import NamedTuple
 import numpy as np
 from harness import machine, table
 
-from tissue.builders.loop import judged_loop
-from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.calibration.observers import draw_observers
 from tissue.evaluation.study.plan import TASKS
 from tissue.evaluation.study.puncture import RATE_N_S, Pierced, pierce
 from tissue.evaluation.study.trial import PACE_SPREAD
 from tissue.scene.load import load_scene
+from tissue.simulation.builders.loop import judged_loop
+from tissue.simulation.builders.loop_settings import loop_settings
 from tissue.simulation.simulate import TICK_S
 
 SCENE = {"device": "touch", "hand": "intermediate", **TASKS["needle"].changes}

@@ -14,12 +14,12 @@ import numpy as np
 from harness import table
 
 from meshes.base.errors import InputError
-from tissue.builders.loop import judged_loop
-from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.statistics.metrics import excess_error, force_error, latency_ms
 from tissue.scene.load import changed, load_scene
 from tissue.scene.registry import GROUPS
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.loop import judged_loop
+from tissue.simulation.builders.loop_settings import loop_settings
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.simulate import TICK_S, simulate
 

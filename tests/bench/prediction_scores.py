@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 from motor_score import motor_score
 
-from tissue.builders.prediction import trained_predictor
 from tissue.evaluation.training.recording import Recording, trial
 from tissue.prediction.look_ahead import LookAhead
 from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.prediction import trained_predictor
 
 __all__ = ["FORCE_LIMIT_N", "KNOWN", "RECORDED_MS", "Kept", "scores"]
 

@@ -9,9 +9,9 @@ from tissue.haptics.device.device import ComputedDevice, DeviceError, DevicePara
 from tissue.haptics.device.reach import Reach
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.haptics.device.sample_guard import SampleGuard
-from tissue.hardware.adapter import HardwareSample
-from tissue.hardware.mapped import MappedDevice
-from tissue.hardware.self_test import self_test
+from tissue.haptics.real.adapter import HardwareSample
+from tissue.haptics.real.mapped import MappedDevice
+from tissue.haptics.real.self_test import self_test
 from tissue.scene.hardware import Hardware
 
 TICK = 1e-3

@@ -60,7 +60,7 @@ def stress_in_this_process(monkeypatch):
 
 def fingerprint(scene):
     """A digest of all that a run gives but for times, events, which hold times too, and the machine."""
-    from tissue.figures.tool_mesh import tool_surface
+    from tissue.show.figures.tool_mesh import tool_surface
 
     run = simulate(scene)
     figures_of_run = {k: v for k, v in run.summary.items() if k not in CLOCK}
@@ -135,7 +135,7 @@ def test_a_saved_scene_is_the_same_scene_and_is_not_refused(kind, files, tmp_pat
 
 
 def test_a_key_that_the_file_leaves_without_effect_is_refused_unless_it_is_a_default(files, tmp_path):
-    from tissue.builders.organ import held_mesh
+    from tissue.simulation.builders.organ import held_mesh
 
     base, kept = tmp_path / "base.toml", tmp_path / "kept.toml"
     base.write_text(tomli_w.dumps(kinds(files)["liver, tetrahedra"]))

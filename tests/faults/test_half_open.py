@@ -16,8 +16,8 @@ from network_client import HELLO, WRENCH, packet, pose, read
 
 from meshes.base.errors import InputError
 from tissue import load_scene, simulate
-from tissue.hardware.haply import HaplyAdapter
-from tissue.hardware.network import NetworkAdapter
+from tissue.haptics.real.haply import HaplyAdapter
+from tissue.haptics.real.network import NetworkAdapter
 from tissue.scene.hardware import Hardware
 
 CLOSES_S = 0.9

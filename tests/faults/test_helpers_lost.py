@@ -204,7 +204,7 @@ def test_a_killed_process_leaves_neither_helper_nor_its_helper(tmp_path, monkeyp
 
 def test_a_command_of_no_python_is_empty(monkeypatch):
     monkeypatch.setattr(sys, "executable", "")
-    assert child_command("tissue.viewer.view") == []
+    assert child_command("tissue.show.viewer.view") == []
 
 
 def test_a_helper_that_is_lost_before_the_first_tick_ends_the_run_in_a_sentence(tmp_path, monkeypatch, command):

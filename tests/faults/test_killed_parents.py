@@ -80,7 +80,7 @@ def files(place):
 def test_a_drawing_leaves_no_mesh_behind(tmp_path):
     changes = ("--set", "voxels.spacing_mm=0.3", "--set", "motion.feed_mm_s=50", "--duration-s", 0.1)
     process = started(tmp_path, "run", "milling", *changes, "--out", tmp_path / "out")
-    drawing = children(process, "tissue.figures.rendering", 1)
+    drawing = children(process, "tissue.show.figures.rendering", 1)
     while drawing[0].is_running() and not (tmp_path / "out/pictures/bone_before_after.png").exists():
         left = files(tmp_path)  # a kill at any moment of the drawing would leave these
         assert max(left.values(), default=0) < MESH_BYTES, left
@@ -92,7 +92,7 @@ def test_a_drawing_leaves_no_mesh_behind(tmp_path):
 
 def test_a_command_that_is_killed_ends_its_drawing(tmp_path):
     process = started(tmp_path, "run", "milling", "--set", "voxels.spacing_mm=0.4", "--duration-s", 0.02)
-    drawing = children(process, "tissue.figures.rendering", 1)
+    drawing = children(process, "tissue.show.figures.rendering", 1)
     process.kill()
     process.wait()
     assert gone(drawing, within_s=10.0)

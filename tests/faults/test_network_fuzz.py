@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from network_client import HELLO, POSE, packet, pose, read
 
-from tissue.hardware.network_protocol import Kind, PacketError, packed, unpacked
-from tissue.hardware.network_session import NetworkSession
+from tissue.haptics.real.network_protocol import Kind, PacketError, packed, unpacked
+from tissue.haptics.real.network_session import NetworkSession
 
 ROUNDS = 40
 KINDS = ("bits", "cut", "longer", "noise", "header", "repeat", "swap", "none")

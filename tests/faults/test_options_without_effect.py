@@ -13,8 +13,8 @@ from meshes.base.errors import names_of_caller, require_length
 from meshes.organs.liver import Nodule, slab
 from meshes.tets.structured import box
 from tissue import InputError, load_scene, scene_names, scene_text, simulate
-from tissue.builders.organ import elasticity_of
 from tissue.scene.organ import LiverFile, Organ, SlabAnatomy
+from tissue.simulation.builders.organ import elasticity_of
 
 
 @pytest.fixture

@@ -12,11 +12,11 @@ import psutil
 import pytest
 
 from tissue import InputError, load_scene, simulate
+from tissue.show.viewer.view import _about
 from tissue.simulation.observer import RunObserver
 from tissue.simulation.run_folder import RunFolder, SavedRun
 from tissue.system.outputs import OutputLock, identity, is_alive, output_locked
 from tissue.system.stopping import Terminated, terminated_as_exception
-from tissue.viewer.view import _about
 
 QUICK = {"voxels.spacing_mm": 0.8, "duration_s": 0.02}
 HOLD = "import sys; from pathlib import Path; from tissue.system.outputs import OutputLock; \

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tissue.builders.perception import CAUTION, perception_for
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.faulty import Fault, FaultyDevice
 from tissue.haptics.device.sample_guard import SampleGuard
@@ -20,6 +19,7 @@ from tissue.perception.laws import Intensity, intensity_of, weber_of
 from tissue.perception.mapping import ForceMap
 from tissue.perception.observer import population_observer, reference_observer
 from tissue.perception.perceived import held_back
+from tissue.simulation.builders.perception import CAUTION, perception_for
 
 TICK = 1e-3
 LAW = weber_of(population_observer(), quantile=CAUTION)

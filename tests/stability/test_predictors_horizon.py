@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.builders.prediction import trained_predictor
 from tissue.evaluation.training.recording import Recorder, trial
 from tissue.evaluation.training.train import forecast, forecast_errors
 from tissue.prediction.baselines import Linear
@@ -15,6 +14,7 @@ from tissue.prediction.guard import Guarded
 from tissue.prediction.koopman import Koopman
 from tissue.prediction.paths import OperatorPath
 from tissue.prediction.trained import Trained, shipped_file
+from tissue.simulation.builders.prediction import trained_predictor
 
 LIMIT_N = 3.3
 

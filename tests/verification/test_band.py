@@ -9,11 +9,11 @@ import pytest
 from scene_kinds import BLOCK, BURR
 from scipy.special import ndtri
 
+from tissue.fitting.bands.band import band_of
+from tissue.fitting.bands.figures import LEVELS
 from tissue.materials.constants import constants
 from tissue.materials.prior import Prior
 from tissue.scene.scene import Scene
-from tissue.uncertainty.band import band_of
-from tissue.uncertainty.figures import LEVELS
 
 FLUTES, RADIUS_MM, FEED_MM_S, SPIN_RPM = 6, 1.0, 10.0, 5000.0
 CHIP_MM = 60.0 * FEED_MM_S / (FLUTES * SPIN_RPM)

@@ -5,11 +5,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from tissue.builders.cutting import cutter_of
 from tissue.evaluation.reference.force import wrench_at
 from tissue.evaluation.reference.history import path_of_trace, solid_of_scene
 from tissue.materials.constants import CuttingCoefficients
 from tissue.scene.load import load_scene
+from tissue.simulation.builders.cutting import cutter_of
 from tissue.simulation.load_record import record_loads
 
 COEFFICIENTS = CuttingCoefficients.CHIP + CuttingCoefficients.EDGE

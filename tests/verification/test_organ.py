@@ -5,7 +5,7 @@ import pytest
 
 import tissue
 from meshes.tets.structured import box
-from tissue.builders.organ import held_mesh
+from tissue.simulation.builders.organ import held_mesh
 
 MODULUS_KPA = 8.0
 

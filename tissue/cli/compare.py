@@ -31,8 +31,8 @@ def compare(
     """
     from rich.table import Table
 
-    from tissue.api.comparison import FILES, KIND
-    from tissue.api.comparison import compare as compared
+    from tissue.objects.comparison import FILES, KIND
+    from tissue.objects.comparison import compare as compared
     from tissue.system.owned_folder import require_folder
 
     if out is None:

@@ -8,8 +8,8 @@ from cyclopts import Parameter
 from tissue.cli.terminal import console, left_out, problems
 
 if TYPE_CHECKING:
-    from tissue.hardware.adapter import FoundDevice
-    from tissue.hardware.self_test import SelfTest
+    from tissue.haptics.real.adapter import FoundDevice
+    from tissue.haptics.real.self_test import SelfTest
 
 __all__ = ["devices"]
 
@@ -54,7 +54,7 @@ def devices(
 
 
 def _list() -> None:
-    from tissue.hardware.search import devices as found_devices
+    from tissue.haptics.real.search import devices as found_devices
 
     with problems.status("looking for devices"):
         found = found_devices()
@@ -82,9 +82,9 @@ def _limits(found: "FoundDevice") -> str:
 
 def _test(name: str, address: str, seconds: float, out: Path | None, *, yes: bool, overwrite: bool) -> None:
     from meshes.base.errors import InputError
-    from tissue.hardware.measured_file import write_measured
-    from tissue.hardware.search import adapter_class
-    from tissue.hardware.self_test import BUMP_N, BUMP_S, bump, self_test
+    from tissue.haptics.real.measured_file import write_measured
+    from tissue.haptics.real.search import adapter_class
+    from tissue.haptics.real.self_test import BUMP_N, BUMP_S, bump, self_test
     from tissue.scene.hardware import Hardware
     from tissue.scene.named_parts import unknown_name
     from tissue.scene.registry import DEVICES

@@ -46,8 +46,8 @@ def fit(
     overwrite
         Replace another fit in the folder.
     """
-    from tissue.api.fit import fit as fit_api
     from tissue.fitting.fit_files import FILES
+    from tissue.objects.fit import fit as fit_api
     from tissue.scene.load import load_scene, parse_override
     from tissue.system.owned_folder import require_folder
 

@@ -80,7 +80,7 @@ def import_(
     overwrite
         Replace another import in the folder.
     """
-    from tissue.importing.importing import import_ct
+    from tissue.ct.importing import import_ct
 
     box = None if crop is None else _numbers("crop", crop, 6, "X0,Y0,Z0,X1,Y1,Z1")
     with progress() as shown:

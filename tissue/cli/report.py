@@ -28,7 +28,7 @@ def report(
     overwrite
         Replace the file where it is there.
     """
-    from tissue.reporting.report import write_report
+    from tissue.show.report.report import write_report
 
     with progress() as shown:
         written = write_report(folder, out, overwrite=overwrite, progress=shown)

@@ -52,7 +52,7 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     for name, note in summary["notes"].items():
         console.print(f"{name}: {note}")
     if band is not None:
-        from tissue.uncertainty.figures import band_lines
+        from tissue.fitting.bands.figures import band_lines
 
         for line in band_lines(band):
             console.print(f"band: {line}")
@@ -253,7 +253,7 @@ def run(
         # A bar of a live run would take the interpreter from the ticks.
         with nullcontext(silent) if live.live else progress() as report:
             report("starting Warp", 0.0)
-            from tissue.api.simulate import simulate
+            from tissue.objects.simulate import simulate
 
             if how is not None:
                 console.print(f"live: {how.mover(loaded)[1]}; Ctrl-C ends it")
@@ -345,7 +345,7 @@ def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
         left_out("without --band", "give --band 200, or remove it", **asdict(options))
         return
     left_out("with --live", "run the scene without it", band=options.band if live else None)
-    from tissue.uncertainty.band import require_band
+    from tissue.fitting.bands.band import require_band
 
     require_band(scene, options.band, options.workers, options.scheduler, each_run=options.each_run)
 

@@ -51,8 +51,8 @@ def sweep(
     """
     from rich.table import Table
 
-    from tissue.api.sweep import parse_values
-    from tissue.api.sweep import sweep as swept
+    from tissue.objects.sweep import parse_values
+    from tissue.objects.sweep import sweep as swept
     from tissue.scene.load import load_scene
 
     changes = parse_values(set_)

@@ -11,7 +11,7 @@ from rich.console import Console
 from meshes.base.progress import Progress
 from meshes.base.text_numbers import whole_number_in
 from meshes.base.visible_text import visible
-from tissue.api.progress import terminal_bar
+from tissue.objects.progress import terminal_bar
 
 __all__ = ["console", "left_out", "problems", "progress", "whole"]
 

@@ -50,7 +50,7 @@ def view(
     overwrite
         Replace the file of the screenshot or movie.
     """
-    from tissue.viewer.view import view as show
+    from tissue.show.viewer.view import view as show
 
     opened = (lambda address: console.print(f"open {address}; Ctrl-C ends it")) if web else None
     with nullcontext() if movie is None else progress() as report:

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.organs.liver import Nodule, slab, slab_base
-from tissue.builders.organ_given import SoftMaterial
 from tissue.environments.environment import ContactEnvironment, Entry
 from tissue.models.organ.model import LiverModel
 from tissue.models.organ.probe import SphereProbe
 from tissue.models.tissue_model import Response, ToolMotion
+from tissue.simulation.builders.organ_given import SoftMaterial
 
 __all__ = ["Palpation"]
 

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.voxels.volume import VoxelVolume
-from tissue.builders.bone import VoxelBone
-from tissue.builders.own_constants import given_note
 from tissue.cutters.cutter import Cutter
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.bricks import voxels_of
 from tissue.scene.used_constants import used_of_cutting
+from tissue.simulation.builders.bone import VoxelBone
+from tissue.simulation.builders.own_constants import given_note
 
 __all__ = ["PATCH_POINTS", "RestorableBone"]
 

@@ -20,9 +20,9 @@ from tissue.evaluation.statistics.metrics import (
     overshoot_mm,
     spectral_arc_length,
 )
-from tissue.figures.figure import figure, save
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
+from tissue.show.figures.figure import figure, save
 from tissue.simulation.depth_map import tool_axes
 from tissue.simulation.run_summary import Summary
 from tissue.simulation.trace import Table

@@ -6,15 +6,15 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from meshes.base.errors import InputError
-from tissue.builders.loop import judged_loop
-from tissue.builders.loop_settings import loop_settings
-from tissue.figures.figure import figure, save
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop.critical_stiffness import in_hands
 from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap, stability_map
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
+from tissue.show.figures.figure import figure, save
+from tissue.simulation.builders.loop import judged_loop
+from tissue.simulation.builders.loop_settings import loop_settings
 from tissue.system.outputs import write_columns
 from tissue.system.owned_folder import owned_folder, require_folder
 

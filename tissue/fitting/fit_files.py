@@ -11,9 +11,9 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.file_version import package_version
 from meshes.base.whole_file import whole_file
-from tissue.figures.fit_pictures import FittedConstant, draw_constants, draw_measured, draw_residuals
 from tissue.fitting.fit import ConstantFit, SceneFit
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
+from tissue.show.figures.fit_pictures import FittedConstant, draw_constants, draw_measured, draw_residuals
 from tissue.system.html import html_page, html_picture
 from tissue.system.outputs import write_columns
 from tissue.system.owned_folder import owned_folder

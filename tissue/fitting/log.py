@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
-from tissue.builders.motions import motion_of
 from tissue.fitting.columns import QUANTITIES, ColumnMap, parse_columns
 from tissue.fitting.log_files import LogColumns, read_columns
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.motions import motion_of
 
 __all__ = ["MeasuredLog", "pose_notes", "read_log", "without_saturation"]
 

@@ -14,8 +14,6 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
-from tissue.builders.organ import NODULE_KPA, PART_NODULE
-from tissue.builders.registry import builder_of
 from tissue.fitting.cutting import CHANNELS
 from tissue.fitting.fitted_file import FittedEntry, write_fitted
 from tissue.fitting.forward import Parameter, chosen
@@ -27,6 +25,8 @@ from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion
 from tissue.scene.used_constants import used_constants
+from tissue.simulation.builders.organ import NODULE_KPA, PART_NODULE
+from tissue.simulation.builders.registry import builder_of
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.simulate import tick_count
 from tissue.system.workers import worker_pool

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.figures.faces import faces_of
-from tissue.figures.tool_mesh import tool_surface
 from tissue.links import igtl_messages as igtl
 from tissue.links.slicer_frame import SlicerFrame
 from tissue.motion.motion import matrix_of
 from tissue.scene.scene import Scene
+from tissue.show.figures.faces import faces_of
+from tissue.show.figures.tool_mesh import tool_surface
 from tissue.simulation.bone_surface import with_layers
 from tissue.simulation.live.surfaces import BoneSurface, OrganSurface, Start
 

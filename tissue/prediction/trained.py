@@ -16,7 +16,7 @@ SHIPPED = Path(__file__).parent / "trained"
 """Folder of the predictors that ship with the engine, one file a scene."""
 VALIDATED_AT = 6
 """Whole ticks ahead at which predictors are compared in training: the lead of 4 ms of latency, which is 6.11 ticks on a
-touch with its path to the motor, see `tissue.builders.loop.lead_ticks`."""
+touch with its path to the motor, see `tissue.simulation.builders.loop.lead_ticks`."""
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ class DeviceEntry:
     make
         Of a part from outside: opens the real device, from where the tool starts in the scene [m].
     has_adapter
-        Whether `tissue.hardware` opens the real device.
+        Whether `tissue.haptics.real` opens the real device.
     """
 
     numbers: Mapping[str, float]

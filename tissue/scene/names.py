@@ -50,7 +50,7 @@ def _numbers(table: str, *names: str) -> dict[str, float]:
 
 
 REAL = ("haply", "forcedimension", "sigma-7", "openhaptics", "network", "recorded")
-"""Devices that `tissue.hardware` opens; the others of the data file are simulated."""
+"""Devices that `tissue.haptics.real` opens; the others of the data file are simulated."""
 DEVICES: Registry[DeviceEntry] = Registry(
     "device",
     {name: DeviceEntry(_numbers("devices", name), has_adapter=name in REAL) for name in listed("devices")},

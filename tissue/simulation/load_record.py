@@ -17,8 +17,6 @@ from scipy.signal import lfilter
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.builders.motions import motion_of
-from tissue.builders.registry import builder_of
 from tissue.haptics.loop.vibration import Vibration
 from tissue.materials.constants import CuttingCoefficients
 from tissue.models.bone.density_nodes import DensityNodes
@@ -30,6 +28,8 @@ from tissue.motion.motion import Motion
 from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion, Tool
+from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.registry import builder_of
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.simulate import tick_count
 from tissue.simulation.trace import Table

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from tissue.builders.parts import Parts
 from tissue.haptics.loop.vibration import Vibration
 from tissue.models.tissue_model import (
     TICK_S,
@@ -26,6 +25,7 @@ from tissue.models.tissue_model import (
 from tissue.motion.motion import Motion, quaternion_of
 from tissue.motion.pose_file import COLUMNS
 from tissue.scene.scene import Output
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
 
 __all__ = ["Loop", "PoseLog", "Stepper", "Tick", "undisturbed"]

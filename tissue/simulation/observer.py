@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.builders.parts import Parts
+from tissue.simulation.builders.parts import Parts
 
 __all__ = ["Observers", "OnTick", "RunObserver", "TickRow"]
 

@@ -13,10 +13,6 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
-from tissue.builders.loop import device_path, judged_loop, lead_ticks, motor_path
-from tissue.builders.loop_settings import loop_settings
-from tissue.builders.parts import Parts
-from tissue.builders.registry import build
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE, VIBRATION
 from tissue.haptics.hand_motion import HandMotion
@@ -24,6 +20,10 @@ from tissue.haptics.loop.motor_path import force_later_N, mean_over_ticks_N, mot
 from tissue.models.tissue_model import Finishes
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.loop import device_path, judged_loop, lead_ticks, motor_path
+from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.parts import Parts
+from tissue.simulation.builders.registry import build
 from tissue.simulation.loop import Stepper, undisturbed
 from tissue.simulation.simulate import TICK_S, tick_count
 from tissue.simulation.trace import LEAST_LOAD, Table

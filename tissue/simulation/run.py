@@ -15,12 +15,12 @@ from meshes.base.errors import InputError
 from meshes.base.file_version import package_version
 from meshes.base.progress import Progress, silent
 from meshes.voxels.volume import VoxelVolume
-from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.break_through import BreakThrough
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.run_folder import RunFolder, SavedRun, added_to_run, copy_run, picture_format
 from tissue.simulation.run_summary import FORMAT, Summary
 from tissue.simulation.scheduling import Scheduling
@@ -179,7 +179,7 @@ class Run:
     @property
     def cutter(self) -> Cutter:
         """Cutter of the run; raises `InputError` if the tool cuts nothing."""
-        from tissue.builders.cutting import cutter_of
+        from tissue.simulation.builders.cutting import cutter_of
 
         tool = self.scene.tool
         made = cutter_of(tool) if self._saved is not None and isinstance(tool, Tool) else None

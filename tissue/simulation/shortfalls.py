@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from tissue.builders.parts import Parts
 from tissue.motion.motion import frame_along
 from tissue.scene.anatomy import MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ThrustMotion
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
 __all__ = ["shortfalls"]

@@ -11,8 +11,6 @@ import numpy as np
 
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.builders.device import require_stated_rate
-from tissue.builders.registry import build
 from tissue.haptics.device.device import Device, device_parameters
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.device.supervision import run_held
@@ -22,6 +20,8 @@ from tissue.motion.motion import LONGEST_S, Motion
 from tissue.prediction.predictor import Predictor
 from tissue.scene.scene import Scene
 from tissue.simulation.break_through import break_throughs
+from tissue.simulation.builders.device import require_stated_rate
+from tissue.simulation.builders.registry import build
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import Run

@@ -6,12 +6,12 @@ from typing import Any, Literal
 from pydantic import Field
 
 from tissue import register
-from tissue.builders.parts import Parts
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.models.wall import WallModel
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import Part
 from tissue.scene.tool import Probe
+from tissue.simulation.builders.parts import Parts
 
 
 class Cushion(Part):
@@ -53,7 +53,7 @@ def greatest_force_N(scene: Any) -> float:
 
 def draw(run: Any, path: Path) -> None:
     """A picture of its own among those of a run: force over depth."""
-    from tissue.figures.figure import figure, save
+    from tissue.show.figures.figure import figure, save
 
     chart = figure(5.0, 3.5)
     axes = chart.subplots()

@@ -33,8 +33,8 @@ def alone(monkeypatch):
     """A machine without any vendor's library, where nothing is listened for long."""
     for package in ("forcedimension_core", "pyOpenHaptics"):
         without(monkeypatch, package)
-    monkeypatch.setattr("tissue.hardware.network.LOOK_S", 0.01)
-    monkeypatch.setattr("tissue.hardware.network.USUAL", "udp://127.0.0.1:0")
+    monkeypatch.setattr("tissue.haptics.real.network.LOOK_S", 0.01)
+    monkeypatch.setattr("tissue.haptics.real.network.USUAL", "udp://127.0.0.1:0")
 
 
 def test_without_devices_each_kind_has_a_sentence(command, alone):
@@ -159,6 +159,6 @@ def test_what_cannot_be_meant_is_refused(command, arguments, sentence):
 
 
 def test_a_device_that_is_silent_cannot_be_tested(command, monkeypatch):
-    monkeypatch.setattr("tissue.hardware.self_test.START_S", 0.05)
+    monkeypatch.setattr("tissue.haptics.real.self_test.START_S", 0.05)
     code, _, error = command("devices", "--test", "network", "--address", "udp://127.0.0.1:0", "--yes")
     assert code == 2 and "a device must give samples for its test, got 0: check that it is on, and move it" in error

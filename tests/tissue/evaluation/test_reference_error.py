@@ -5,7 +5,6 @@ import pytest
 
 import tissue
 from meshes.base.errors import InputError
-from tissue.builders.cutting import cutter_of
 from tissue.evaluation.reference import history
 from tissue.evaluation.reference.force import wrench_at
 from tissue.evaluation.reference.history import (
@@ -15,6 +14,7 @@ from tissue.evaluation.reference.history import (
     reference_force,
     solid_of_scene,
 )
+from tissue.simulation.builders.cutting import cutter_of
 
 SLOT = {
     "voxels.spacing_mm": 0.4,

@@ -7,16 +7,16 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue import load_scene, simulate
-from tissue.builders.force_met import chosen_scale
-from tissue.builders.loop import lead_ticks
-from tissue.builders.loop_settings import loop_settings
-from tissue.builders.prediction import FALLBACKS
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training.recording import Recorder, trial
 from tissue.evaluation.training.train import validated, with_fallback
 from tissue.prediction.edmd.lifted import Operator
 from tissue.prediction.trained import VALIDATED_AT, Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.loop import lead_ticks
+from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.prediction import FALLBACKS
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 
 SCENES = ("caries", "glenoid", "liver-press", "milling", "molar", "needle", "palpation", "wall")

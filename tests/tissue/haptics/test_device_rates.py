@@ -8,13 +8,13 @@ from hand_steps import STEP_S, held, meet
 
 import tissue
 from tissue import InputError, Sample, load_scene
-from tissue.builders.loop import judged_loop, motor_path
-from tissue.builders.loop_settings import loop_settings
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.loop.motor_path import motor_lag_ticks
 from tissue.models.tissue_model import FreeSpace
 from tissue.models.wall import WallModel
+from tissue.simulation.builders.loop import judged_loop, motor_path
+from tissue.simulation.builders.loop_settings import loop_settings
 
 RATES_HZ = [500, 1000, 2000]
 SLEW_N_MS = 0.2

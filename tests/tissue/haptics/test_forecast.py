@@ -9,7 +9,6 @@ import pytest
 
 from meshes.base.errors import InputError
 from meshes.base.kept import Kept
-from tissue.builders.prediction import maker_of
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.loop import forecast
@@ -21,6 +20,7 @@ from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.prediction.baselines import LinearControl
 from tissue.prediction.contact import Contact
 from tissue.prediction.predictor import Hold
+from tissue.simulation.builders.prediction import maker_of
 
 TICK = 1e-3
 PULL = np.hstack([-40.0 * np.eye(3), -0.2 * np.eye(3)])

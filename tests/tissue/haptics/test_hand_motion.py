@@ -7,7 +7,6 @@ from quiet_press import LIMITS, PERSON, check_ripple, quiet_press
 
 from meshes.base.progress import silent
 from tissue import InputError, load_scene
-from tissue.builders.registry import build
 from tissue.haptics import hand_measures as at
 from tissue.haptics.device.faulty import Fault, FaultyDevice
 from tissue.haptics.device.recorded import RecordedDevice
@@ -16,6 +15,7 @@ from tissue.haptics.loop.critical_stiffness import judge
 from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
 from tissue.models.wall import WallModel
 from tissue.motion.quaternion import logarithm
+from tissue.simulation.builders.registry import build
 
 UP = np.array([0.0, 0.0, 1.0])
 

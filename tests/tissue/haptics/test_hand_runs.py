@@ -6,13 +6,13 @@ from hand_runs import played_N, run_of
 from hand_steps import STEP_S
 
 from tissue import InputError, load_scene, simulate
-from tissue.builders.force_met import chosen_scale
-from tissue.builders.loop import judged_loop
-from tissue.builders.loop_settings import loop_settings
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.hand_measures import MEASURES
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.loop import judged_loop
+from tissue.simulation.builders.loop_settings import loop_settings
 
 COARSE_LIVER = {"organ.order": 1, "anatomy.edge_mm": 30.0, "anatomy.touch_edge_mm": 8.0}
 

@@ -9,8 +9,6 @@ from hand_steps import STEP_S, held, meet
 from quiet_press import LIMITS, PERSON, quiet_press
 
 from tissue import load_scene
-from tissue.builders.loop import judged_loop
-from tissue.builders.loop_settings import loop_settings
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand.hand import hand_parameters
@@ -21,6 +19,8 @@ from tissue.haptics.loop.stability_map import growth_while_running
 from tissue.haptics.loop.vibration import ENVELOPE_S, PlayedVibration, Vibration
 from tissue.haptics.played_force import PlayedForce
 from tissue.models.wall import WallModel
+from tissue.simulation.builders.loop import judged_loop
+from tissue.simulation.builders.loop_settings import loop_settings
 
 SHARE = 0.2
 

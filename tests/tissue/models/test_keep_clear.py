@@ -9,7 +9,7 @@ import trimesh
 
 import tissue
 from meshes.base.errors import InputError
-from tissue.figures.section import draw_section, nearest_places
+from tissue.show.figures.section import draw_section, nearest_places
 
 RADIUS_MM = 3.0
 DEPTH_MM = 6.0

@@ -11,7 +11,6 @@ from meshes.shapes.anatomy import cortical_block
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 from tissue import load_scene
-from tissue.builders.registry import build
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.materials.constants import cutting_coefficients
@@ -20,6 +19,7 @@ from tissue.models.needle.model import NeedleModel
 from tissue.models.needle.parameters import needle_tissue
 from tissue.models.tissue_model import Finishes, FreeSpace, HasVoxels, ToolMotion
 from tissue.models.tooth.model import ToothModel
+from tissue.simulation.builders.registry import build
 
 RADIUS_M = 3e-3
 RESTING = "test_a_tool_at_rest_changes_nothing_and_feels_nothing"

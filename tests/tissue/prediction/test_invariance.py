@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tissue.builders.prediction import trained_predictor
 from tissue.prediction.contact import CONTACT_WIDTH, Contact
 from tissue.prediction.trained import Trained, shipped_file
+from tissue.simulation.builders.prediction import trained_predictor
 
 KINDS = ("look-ahead", "koopman", "koopman-look-ahead")
 SPRING_N_M, TICKS, LEAD = 400.0, 600, 6.11

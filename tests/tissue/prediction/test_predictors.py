@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tissue import InputError, load_scene
-from tissue.builders.prediction import maker_of, trained_predictor
 from tissue.evaluation.training.recording import Recording
 from tissue.evaluation.training.train import fit, forecast_errors, with_fallback
 from tissue.prediction.baselines import Kalman, Linear, LinearControl, kalman_gains
@@ -18,6 +17,7 @@ from tissue.prediction.paths import OperatorPath
 from tissue.prediction.predictor import Hold
 from tissue.prediction.trained import Trained
 from tissue.scene.registry import PREDICTORS
+from tissue.simulation.builders.prediction import maker_of, trained_predictor
 
 STIFFNESS_N_M = 400.0
 ENCODER_M = 5.5e-5

@@ -10,11 +10,9 @@ from outside_tissue import CHANGES, ENTRY
 from pydantic import Field
 
 from tissue import InputError, Scene, load_scene, simulate
-from tissue.builders.force_met import chosen_scale
 from tissue.cutters.profile import cylinder
 from tissue.evaluation.charts.frontier import frontier_of
 from tissue.evaluation.charts.pictures import draw_frontiers
-from tissue.figures.faces import faces_of
 from tissue.models.needle.parameters import needle_tissue
 from tissue.models.organ.probe import SphereProbe
 from tissue.motion.motion import Motion
@@ -29,6 +27,8 @@ from tissue.scene.registry import (
     MotionEntry,
     ProbeEntry,
 )
+from tissue.show.figures.faces import faces_of
+from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.run_folder import SavedRun
 from tissue.system.offscreen import draw_apart
 

@@ -7,13 +7,13 @@ import pytest
 from scene_kinds import kinds, write_files
 
 from meshes.base.errors import InputError
-from tissue.builders.cutting import cutter_of, milled_voxels
-from tissue.builders.motions import motion_of
 from tissue.materials.scene_constants import Materials
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.cutting import cutter_of, milled_voxels
+from tissue.simulation.builders.motions import motion_of
 from tissue.simulation.load_record import record_loads, why_not_linear
 from tissue.simulation.simulate import simulate
 

@@ -5,7 +5,6 @@ import pytest
 
 from meshes.base.kept import Kept
 from tissue import load_scene, simulate
-from tissue.builders import organ_scene, voxels
 from tissue.cutters import cutter
 from tissue.evaluation.study.plan import TASKS
 from tissue.haptics.device.device import Sample
@@ -15,6 +14,7 @@ from tissue.models.bone.model import BoneModel
 from tissue.models.organ import soft_organ
 from tissue.scene.load import changed
 from tissue.simulation import reference_force
+from tissue.simulation.builders import organ_scene, voxels
 from tissue.simulation.reference_force import ideal_force_N, ideal_scene
 
 KEPT = (

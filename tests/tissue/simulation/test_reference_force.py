@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
-from tissue.builders import device_motion
-from tissue.builders.loop import lead_ticks
-from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.statistics.metrics import excess_error, force_error, latency_ms
 from tissue.haptics.device.recorded import RecordedDevice
 from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import Rendering
 from tissue.prediction.predictor import Hold
+from tissue.simulation.builders import device_motion
+from tissue.simulation.builders.loop import lead_ticks
+from tissue.simulation.builders.loop_settings import loop_settings
 from tissue.simulation.reference_force import ideal_force_N, motor_forces, stretch_force_N
 
 STEP_M = 5.5e-5

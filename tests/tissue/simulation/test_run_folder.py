@@ -236,7 +236,7 @@ def test_a_killed_run_is_still_a_run(killed, tmp_path, refused, command):
         f"out must not hold another run, got {folder}: pass --overwrite to replace it or choose another --out"
     )
     assert {entry.relative_to(folder): entry.read_bytes() for entry in folder.rglob("*") if entry.is_file()} == before
-    from tissue.viewer.view import _about
+    from tissue.show.viewer.view import _about
 
     assert _about(SavedRun(folder)).startswith("run is incomplete: it was interrupted at ")
     code, _, error = command("run", "milling", *COARSE, "--duration-s", 0.01, "--out", folder, "--overwrite")

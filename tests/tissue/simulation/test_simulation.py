@@ -7,11 +7,11 @@ import pytest
 from scipy.signal import lfilter
 
 from tissue import InputError, load_scene, simulate
-from tissue.builders.parts import Parts
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.models.tissue_model import FreeSpace
 from tissue.motion.motion import FollowPath
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.simulate import TICK_S
 
 COARSE = {"voxels.spacing_mm": 0.4, "duration_s": 0.2}

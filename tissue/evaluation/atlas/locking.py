@@ -4,7 +4,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from meshes.tets.structured import box
-from tissue.builders.organ import elasticity_of
 from tissue.evaluation.atlas.page import (
     BLUE,
     GREY,
@@ -28,6 +27,7 @@ from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.organ import Organ, SlabAnatomy
+from tissue.simulation.builders.organ import elasticity_of
 
 __all__ = ["PAGE"]
 

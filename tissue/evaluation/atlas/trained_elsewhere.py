@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from meshes.base.arrays import Array
-from tissue.builders.prediction import maker_of
 from tissue.evaluation.atlas.hands import SIX_DOF, TICK_S, TURN, koopman, relative_error, tapped
 from tissue.evaluation.atlas.page import (
     BLUE,
@@ -35,6 +34,7 @@ from tissue.prediction.edmd.predictor_file import read_predictor
 from tissue.prediction.guard import Guarded
 from tissue.prediction.predictor import Hold, Predictor
 from tissue.prediction.trained import Trained
+from tissue.simulation.builders.prediction import maker_of
 
 __all__ = ["PAGE"]
 

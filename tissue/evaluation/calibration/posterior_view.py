@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissue.evaluation.calibration.session import Session
-from tissue.figures.figure import figure, save
 from tissue.perception.laws import D_PRIME_75, correct_of_d_prime, with_lapse
+from tissue.show.figures.figure import figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

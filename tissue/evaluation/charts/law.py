@@ -20,9 +20,6 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.shapes.polyline import arc_length, points_along
 from meshes.tets.regions import faces_of
-from tissue.builders.motions import motion_of
-from tissue.builders.organ import elasticity_of
-from tissue.builders.organ_law import coarser_mesh, hindrance
 from tissue.evaluation.charts.keys import scene_text, sources
 from tissue.evaluation.charts.reference import of_model
 from tissue.evaluation.charts.settings import edge_mm, settings_of
@@ -33,6 +30,9 @@ from tissue.scene.load import changed
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe
+from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.organ import elasticity_of
+from tissue.simulation.builders.organ_law import coarser_mesh, hindrance
 from tissue.simulation.simulate import TICK_S, simulate
 
 if TYPE_CHECKING:

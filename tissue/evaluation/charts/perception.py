@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissue.builders.perception import CAUTION, perception_for
-from tissue.figures.figure import figure, save
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
@@ -14,6 +12,8 @@ from tissue.perception.laws import intensity_of, weber_of
 from tissue.perception.observer import Observer, population, population_observer, read_observer, reference_observer
 from tissue.perception.perceived import held_back
 from tissue.scene.load import load_scene
+from tissue.show.figures.figure import figure, save
+from tissue.simulation.builders.perception import CAUTION, perception_for
 from tissue.simulation.simulate import simulate
 from tissue.system.owned_folder import owned_folder
 

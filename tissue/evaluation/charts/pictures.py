@@ -9,8 +9,8 @@ import numpy as np
 from tissue.evaluation.charts.frontier import Frontier
 from tissue.evaluation.charts.measure import Measured
 from tissue.evaluation.training.train import HORIZONS
-from tissue.figures.figure import figure, save
 from tissue.scene.registry import PREDICTORS
+from tissue.show.figures.figure import figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

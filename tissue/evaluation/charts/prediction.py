@@ -14,7 +14,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file
-from tissue.builders.prediction import trained_predictor
 from tissue.evaluation.charts.pictures import draw_scene, draw_tasks
 from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.evaluation.training.train import HORIZONS, MOST_TRIALS, fit, forecast_errors
@@ -24,6 +23,7 @@ from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import Trained, is_trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.prediction import trained_predictor
 from tissue.system.owned_folder import owned_folder
 
 __all__ = ["OURS", "Interval", "PredictorComparison", "chart_prediction", "comparison_lines", "interval", "predictable"]

@@ -6,13 +6,13 @@ from itertools import product
 
 import numpy as np
 
-from tissue.builders.cutting import cutter_of
 from tissue.prediction.trained import is_trained
 from tissue.scene.load import changed
 from tissue.scene.organ import LayersAnatomy, SoftAnatomy
 from tissue.scene.registry import PREDICTORS, RENDERERS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe, Tool
+from tissue.simulation.builders.cutting import cutter_of
 
 __all__ = [
     "PLACES", "Changes", "Setting", "by_hand", "edge_mm", "finest", "grids", "moved", "placed", "refined",

@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from meshes.base.cache import cached_arrays
 from meshes.base.progress import Progress, silent
-from tissue.builders.cutting import cutter_of
-from tissue.builders.motions import motion_of
-from tissue.builders.voxels import is_procedural, solid_of
 from tissue.cutters.cutter import Cutter
 from tissue.evaluation.reference.force import Resolution, Solid, wrench_at
 from tissue.evaluation.reference.path import ToolPath
@@ -19,6 +16,9 @@ from tissue.evaluation.statistics.metrics import force_error
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
+from tissue.simulation.builders.cutting import cutter_of
+from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.voxels import is_procedural, solid_of
 from tissue.simulation.trace import Table
 
 __all__ = [

@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError, require_positive
-from tissue.builders.parts import Parts
 from tissue.evaluation.statistics.metrics import excess_travel_mm
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
@@ -39,6 +38,7 @@ from tissue.models.needle.model import NeedleModel
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.observer import RunObserver
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate

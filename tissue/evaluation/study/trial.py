@@ -17,9 +17,6 @@ from pydantic import Field
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from tissue.builders.force_met import chosen_scale
-from tissue.builders.loop import judged_loop
-from tissue.builders.loop_settings import loop_settings
 from tissue.evaluation.calibration.observers import draw_observers
 from tissue.evaluation.charts.settings import finest
 from tissue.evaluation.statistics import metrics
@@ -40,6 +37,9 @@ from tissue.perception.observer import PARAMETERS, Observer, reference_observer,
 from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.loop import judged_loop
+from tissue.simulation.builders.loop_settings import loop_settings
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate

@@ -8,12 +8,6 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import silent
-from tissue.builders.force_met import chosen_scale
-from tissue.builders.hand import hand_motion
-from tissue.builders.loop import judged_loop
-from tissue.builders.loop_settings import loop_settings
-from tissue.builders.motions import motion_of
-from tissue.builders.registry import build
 from tissue.haptics.hand_measures import TRUE
 from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.filters import VELOCITY_MEMORY, ConstantAcceleration
@@ -25,6 +19,12 @@ from tissue.scene.load import changed
 from tissue.scene.registry import GROUPS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.hand import hand_motion
+from tissue.simulation.builders.loop import judged_loop
+from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.registry import build
 from tissue.simulation.simulate import TICK_S
 
 __all__ = ["DELAYS_MS", "Recorder", "Recording", "trial"]

@@ -10,7 +10,6 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from tissue.builders.prediction import FALLBACKS, trained_predictor
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training.recording import Recorder, Recording, trial
 from tissue.haptics.device.device import device_parameters
@@ -24,6 +23,7 @@ from tissue.prediction.predictor import Predictor
 from tissue.prediction.trained import VALIDATED_AT, Trained
 from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.prediction import FALLBACKS, trained_predictor
 
 __all__ = [
     "HORIZONS",

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from tissue.builders.parts import Parts
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.live.clock import LOOK_TICKS
 from tissue.simulation.live.window import WindowProcess
 from tissue.simulation.observer import RunObserver

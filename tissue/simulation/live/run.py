@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from tissue.builders.device import opened_device, opens_device
-from tissue.builders.motions import motion_of
-from tissue.builders.parts import Parts
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.scene.coupling import Device as StatedDevice
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
+from tissue.simulation.builders.device import opened_device, opens_device
+from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.live.clock import BEHIND_S, LOOK_TICKS, Prioritised, WallClock
 from tissue.simulation.live.publisher import Publisher, Ros2Publisher, require_ros2
 from tissue.simulation.live.slicer import SlicerLink, SlicerPublisher, require_link

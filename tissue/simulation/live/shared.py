@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from meshes.voxels.volume import VoxelVolume
 
 if TYPE_CHECKING:
-    from tissue.builders.parts import Parts
     from tissue.models.bone.model import BoneModel
+    from tissue.simulation.builders.parts import Parts
 
 __all__ = [
     "MEMORY", "AnyArray", "BoneShared", "Layout", "OrganShared", "SharedArrays", "SharedTissue", "shared_tissue",

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
 from meshes.voxels.volume import FULL
-from tissue.builders.device import opens_device
-from tissue.builders.parts import Parts
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.device import opens_device
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.live.publisher import Box, Publisher, PublishingProcess
 from tissue.simulation.live.shared import AnyArray, Layout
 from tissue.simulation.run import DEADLINE_US

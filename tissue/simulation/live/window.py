@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
-from tissue.builders.parts import Parts
 from tissue.scene.scene import Scene
+from tissue.simulation.builders.parts import Parts
 from tissue.simulation.live.shared import MEMORY, AnyArray, Layout, SharedArrays, SharedTissue, shared_tissue
 from tissue.system.child import await_ready, child_command
 from tissue.system.offscreen import REMEDY, drawing_environments
 
 __all__ = ["CLOCK", "LOADS", "Page", "PageProcess", "WindowProcess", "require_web"]
 
-MODULE = "tissue.viewer.live.live_window"
+MODULE = "tissue.show.viewer.live.live_window"
 """What is run in the other process; it lies above and is named, not imported."""
 CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
 """What a window receives of the clock."""
@@ -221,7 +221,7 @@ class WindowProcess:
 class PageProcess(WindowProcess):
     """A window in a browser: its process draws off screen and serves a page."""
 
-    module = "tissue.viewer.web.live_page"
+    module = "tissue.show.viewer.web.live_page"
     place = "must serve its page"
     remedy = REMEDY
 

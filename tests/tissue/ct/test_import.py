@@ -1,0 +1,203 @@
+"""A CT to a scene that runs, from every format and orientation, by label and by threshold."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ct_ball import CENTRE_MM, DENSE_HU, RADIUS_MM, SOFT_HU, ball, ball_mask
+from image_writers import write_dicom, write_meta, write_nifti, write_nrrd
+from named_labels import write_named_labels
+
+import tissue
+from meshes.base.errors import InputError
+from meshes.ct.labels import read_labels
+from meshes.images.reading import read_image
+from tissue.ct.draft import scene_name
+from tissue.materials.constants import cutting_coefficients
+
+TOP = tuple((CENTRE_MM + np.array([0.0, 0.0, RADIUS_MM])).tolist())
+LINE = "line:1.0,500.0"
+HALF_HU = 0.5 * (DENSE_HU + SOFT_HU)
+COARSE = {"voxels.spacing_mm": 0.4, "motion.points_mm": [[0, 0, 1], [0, 0, -1]], "motion.feed_mm_s": 10.0}
+
+
+def axes_of(image, order=(0, 1, 2), flips=()):
+    """Values, axes and origin of an image with its array stored along other axes in other directions."""
+    values = np.transpose(image.values, order)
+    axes = np.diag(image.spacing_mm)[:, order]
+    origin = np.array(image.origin_mm)
+    for k in flips:
+        origin = origin + axes[:, k] * (values.shape[k] - 1)
+        axes = axes * np.where(np.arange(3) == k, -1.0, 1.0)
+        values = np.flip(values, k)
+    return np.ascontiguousarray(values), axes, origin
+
+
+def imported(source, out, **options):
+    given = {"density": LINE, "site": TOP, "pictures": False} | options
+    return tissue.import_ct(source, out, **({} if "region" in options else {"threshold": HALF_HU}) | given)
+
+
+def force_N(made):
+    run = tissue.simulate(tissue.load_scene(made.scene, COARSE))
+    return run.trace["force_z_N"], run.summary
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("reference")
+    write_nrrd(folder / "ct.nrrd", *axes_of(ball()))
+    made = imported(folder / "ct.nrrd", folder / "out")
+    return made, force_N(made)[0]
+
+
+def test_a_scene_is_ready_to_run(reference):
+    made, force = reference
+    assert made.has_site and sorted(each.name for each in made.folder.iterdir()) == [
+        ".tissue.json", "bone.ply", "density.nrrd", "import.json", "scene.toml",
+    ]  # fmt: skip
+    scene = tissue.load_scene(made.scene)
+    assert scene.anatomy.kind == "bone" and scene.name == "out"
+    assert np.allclose(scene.anatomy.centre_mm, TOP, atol=0.15)
+    assert np.allclose(scene.anatomy.normal, (0.0, 0.0, 1.0), atol=0.02)
+    assert force.max() > 1.0
+    notes = tissue.simulate(tissue.load_scene(made.scene, COARSE)).summary["notes"]
+    assert notes["density law"].startswith("line:1,500,apparent: median ") and "90 % between" in notes["density law"]
+
+
+def test_the_density_reaches_the_cutting_force(reference, tmp_path):
+    made, force = reference
+    other = tmp_path / "denser"
+    image = made.folder.parent / "ct.nrrd"
+    denser = imported(image, other, density="line:1.25,625.0")
+    exponent = cutting_coefficients("bone").density_exponent
+    ratio = force_N(denser)[0].max() / force.max()
+    assert ratio == pytest.approx(1.25**exponent, rel=0.01)
+    volume = read_image(made.folder / "density.nrrd").values
+    assert np.median(volume[volume > 1200]) == pytest.approx(DENSE_HU + 500.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "order", "flips"),
+    [
+        ("ct.nii.gz", (0, 1, 2), ()),
+        ("ct.nii", (2, 0, 1), (0, 2)),
+        ("ct.nrrd", (1, 2, 0), (1,)),
+        ("ct.mha", (0, 2, 1), (0, 1, 2)),
+        ("dicom", (0, 1, 2), ()),
+        ("dicom", (1, 0, 2), (2,)),
+        ("dicom", (2, 1, 0), (0,)),
+    ],
+)
+def test_every_format_and_orientation_gives_the_same_force(reference, tmp_path, name, order, flips):
+    write = {"nii": write_nifti, "gz": write_nifti, "nrrd": write_nrrd, "mha": write_meta}
+    suffix = name.rpartition(".")[2]
+    more = {"intercept": 0.0} if name == "dicom" else {}
+    write.get(suffix, write_dicom)(tmp_path / name, *axes_of(ball(), order, flips), **more)
+    _, force = reference
+    other, _ = force_N(imported(tmp_path / name, tmp_path / "out"))
+    assert np.abs(other - force).max() < 5e-3 * force.max()
+
+
+def test_a_site_may_be_given_in_ras(reference, tmp_path):
+    made, _ = reference
+    x, y, z = TOP
+    other = imported(made.folder.parent / "ct.nrrd", tmp_path / "out", site=(-x, -y, z), coordinates="RAS")
+    assert (other.folder / "scene.toml").read_text() == (made.folder / "scene.toml").read_text()
+
+
+def test_a_label_is_the_bone_and_its_names_are_kept(tmp_path):
+    image = ball()
+    write_nrrd(tmp_path / "ct.nrrd", *axes_of(image))
+    names = {1: "humerus", 2: "canal"}
+    values = ball_mask(image).astype(np.uint8) + ball_mask(image, radius_mm=3.0)
+    place = {"spacing_mm": image.spacing_mm, "origin_mm": image.origin_mm}
+    labels = write_named_labels(tmp_path / "a.seg.nrrd", values, names, **place)
+    made = imported(tmp_path / "ct.nrrd", tmp_path / "out", labels=labels, region="humerus")
+    kept = read_labels(made.folder / "labels.seg.nrrd")
+    assert kept.names == names
+    assert kept.mask("humerus").sum() == (ball_mask(image) & ~ball_mask(image, radius_mm=3.0)).sum()
+    record = json.loads((made.folder / "import.json").read_text())
+    assert record["threshold"] is None and record["density_law"]["slope_kg_m3"] == 1.0
+    assert record["bone_mm3"] == pytest.approx(kept.mask("humerus").sum(), rel=0.02)
+
+
+def test_a_folder_of_several_series_is_listed_and_one_taken(tmp_path):
+    folder, image = tmp_path / "dicom", ball()
+    write_dicom(folder, *axes_of(image), intercept=0.0, series="1.2.3", series_number=3)
+    write_dicom(folder, *axes_of(image), intercept=0.0, series="1.2.4", series_number=4, name="other{:03d}.dcm")
+    count = image.values.shape[2]
+    with pytest.raises(InputError, match=rf"number 3 of {count} slices, number 4 of {count} slices"):
+        imported(folder, tmp_path / "out")
+    assert imported(folder, tmp_path / "out", series=4).has_site
+    with pytest.raises(InputError, match="series must be one that dicom holds, got 7"):
+        imported(folder, tmp_path / "out", series=7, overwrite=True)
+
+
+def test_nothing_of_a_person_leaves_the_files(tmp_path):
+    folder = tmp_path / "dicom"
+    write_dicom(folder, *axes_of(ball()), intercept=0.0, name="DOE-JANE-{:03d}.dcm")
+    made = imported(folder, tmp_path / "out")
+    for file in made.folder.iterdir():
+        assert b"DOE" not in file.read_bytes()
+    assert "DOE" not in " ".join(made.sentences)
+
+
+def test_an_import_is_not_overwritten_unasked(reference):
+    made, _ = reference
+    with pytest.raises(InputError, match="another import"):
+        imported(made.folder.parent / "ct.nrrd", made.folder)
+
+
+def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
+    made, _ = reference
+    other = tissue.import_ct(made.folder.parent / "ct.nrrd", tmp_path / "My bone 2", density=LINE, pictures=False)
+    assert not other.has_site and "pick one" in other.sentences[-1]
+    assert other.scene.read_text().startswith("# No site yet") and scene_name(tmp_path / "My bone 2") == "my-bone-2"
+    with pytest.raises(InputError, match=r"anatomy\.centre_mm must be given"):
+        tissue.simulate(tissue.load_scene(other.scene))
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ({"region": "humerus"}, "region must be left out without labels"),
+        ({"site": "glenoyd"}, r"did you mean glenoid\?"),
+        ({"site": (0.0, 0.0, 500.0)}, "site must lie within 10 mm"),
+        ({"site": (0.0, float("nan"), 0.0)}, "site must be of three finite numbers"),
+        ({"coordinates": "RAS", "site": None}, "coordinates must be left out unless crop, a site or a path"),
+        ({"coordinates": "RAS", "site": "glenoid"}, "coordinates must be left out unless crop, a site or a path"),
+        ({"coordinates": "ras"}, "coordinates must be LPS or RAS, got ras"),
+        ({"normal": (0.0, 0.0, 1.0), "site": None}, "normal must be left out unless site is a point"),
+        ({"threshold": 9000.0}, "threshold must leave bone"),
+        ({"crop_mm": ((5.0, 0.0, 0.0), (1.0, 2.0, 3.0))}, "crop must have its lowest corner first"),
+        ({"crop_mm": ((500.0, 0.0, 0.0), (600.0, 2.0, 3.0))}, "crop must leave two voxels"),
+        ({"density": "unheard"}, "density must"),
+        ({"like": "liver-press"}, "like must be a scene in which a tool cuts"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_one_sentence(reference, tmp_path, options, part):
+    made, _ = reference
+    given = {"density": LINE, "site": TOP, "pictures": False} | options
+    with pytest.raises(InputError, match=part) as refused:
+        tissue.import_ct(made.folder.parent / "ct.nrrd", tmp_path / "out", **given)
+    assert "\n" not in str(refused.value)
+    assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
+
+
+def test_an_image_of_other_units_gets_a_shell(tmp_path):
+    image = ball()
+    values, axes, origin = axes_of(image)
+    write_nrrd(tmp_path / "ct.nrrd", (100 + values // 20).astype(np.int16), axes, origin)
+    made = tissue.import_ct(tmp_path / "ct.nrrd", tmp_path / "out", threshold=125.0, site=TOP, pictures=False)
+    assert not (made.folder / "density.nrrd").exists() and "unknown" in " ".join(made.sentences)
+    assert tissue.load_scene(made.scene).anatomy.density_file is None
+
+
+@pytest.mark.slow
+def test_pictures_are_drawn(reference, tmp_path):
+    made, _ = reference
+    other = tissue.import_ct(made.folder.parent / "ct.nrrd", tmp_path / "out", density=LINE, site=TOP)
+    for name in ("slices.png", "histogram.png", "bone.png"):
+        assert (other.folder / name).stat().st_size > 10_000, Path(name)

@@ -1,0 +1,183 @@
+"""The band of a milled scene, against closed forms, reruns and its files."""
+
+import json
+from html import escape
+
+import numpy as np
+import pytest
+from scene_kinds import kinds, write_files
+from scipy.special import ndtri
+
+from meshes.base.errors import InputError
+from tissue.fitting.bands.band import band_of, require_band
+from tissue.fitting.bands.figures import LEVELS, LOADS
+from tissue.fitting.bands.reweighed import DENSITY, Reweighed, density_prior
+from tissue.materials.constants import constants
+from tissue.materials.prior import Prior
+from tissue.objects.run import open_run
+from tissue.objects.simulate import simulate
+from tissue.scene.load import changed
+from tissue.scene.scene import Scene
+from tissue.show.report.page import band_section
+from tissue.simulation.load_record import record_loads
+from tissue.simulation.run_folder import SavedRun
+
+NAMES = tuple(constants("cutting", "bone"))
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    return kinds(write_files(tmp_path_factory.mktemp("files")))
+
+
+@pytest.fixture(scope="module")
+def block(tables):
+    return Scene(**tables["block"])
+
+
+def test_of_a_force_linear_in_one_coefficient_the_band_is_that_of_the_coefficient(block):
+    """All others are 0 or fixed by the scene, so that each figure is the coefficient times a geometry."""
+    fixed = dict.fromkeys((f"cutting.{name}" for name in NAMES if "chip" in name or "edge" in name), 0.0)
+    del fixed["cutting.radial_edge_N_mm"]
+    scene = changed(block, fixed)
+    reweighed = Reweighed(record_loads(scene, cores=1))
+    at = reweighed.ranges.names.index("cutting.bone.radial_edge_N_mm")
+    prior = reweighed.ranges.priors[at]
+    levels = np.array(list(LEVELS.values()))
+    count = 4096
+    x = np.tile(reweighed.nominal(), (count, 1))
+    x[:, at] = prior.x(ndtri((np.arange(count) + 0.5) / count))
+    per_unit = reweighed.figures(reweighed.nominal()[None])[0] / reweighed.nominal()[at]
+    exact = np.outer(prior.x(ndtri(levels)), per_unit)
+    found = np.quantile(reweighed.figures(x), levels, axis=0, method="hazen")
+    assert found == pytest.approx(exact, rel=1e-4, abs=1e-12)
+    assert per_unit[0] > 0.0
+    size = reweighed.quantiles(x[::16], tuple(levels))[..., 3]
+    assert size[:, np.argmax(size[2])] == pytest.approx(exact[:, 0], rel=2e-2)
+
+
+def test_in_bone_of_the_reference_density_the_exponent_counts_where_that_density_varies(block):
+    """The strength is the ratio of the densities to the exponent: 1 for both cited values, not for both of a sample."""
+    reweighed = Reweighed(record_loads(block, cores=1))
+    names = reweighed.ranges.names
+    priors = reweighed.ranges.priors
+    density, exponent = (
+        names.index(f"cutting.bone.{name}") for name in ("reference_density_kg_m3", "density_exponent")
+    )
+    x = np.tile(reweighed.nominal(), (3, 1))
+    x[1:, density] = priors[density].high
+    x[2, exponent] = priors[exponent].high
+    peak = reweighed.figures(x)[:, 0]
+    ratio = priors[density].value / priors[density].high
+    assert peak[1:] / peak[0] == pytest.approx([ratio ** priors[exponent].value, ratio ** priors[exponent].high])
+
+
+def test_the_file_of_a_sample_gives_its_figures_when_it_is_run(block, tmp_path):
+    """Reweighed against rerun, for every constant at once."""
+    band = band_of(block, 16, cores=1)
+    for number in (3, 11):
+        file = tmp_path / "sample.toml"
+        file.write_text(band.files[number], "utf-8")
+        summary = simulate(changed(block, {"materials": str(file)}), cores=1).summary
+        want = [summary[outer][inner] for outer, inner in LOADS]
+        assert band.figures[number] == pytest.approx(want, rel=1e-6)
+        assert band.figures[number] != pytest.approx(band.figures[number - 1], rel=0.01)
+
+
+def test_a_band_is_written_with_its_run_and_read_back(block, tmp_path):
+    run = simulate(block, cores=1)
+    band = run.band(50, cores=1)
+    assert band.summary["asked"] == 50
+    assert band.summary["samples"] == len(band.values) == 64
+    assert (np.diff(band.quantiles, axis=0) >= 0.0).all()
+    peak = run.summary["band"]["force_N"]["peak"]
+    assert peak["p05"] < peak["p25"] < peak["p50"] < peak["p75"] < peak["p95"]
+    assert peak["p05"] < run.summary["force_N"]["peak"] < peak["p95"]
+    totals = [index["total"] for index in run.summary["band"]["sobol"]["force_N.peak"].values()]
+    assert 0.95 < sum(totals) < 1.5
+    run.save(tmp_path / "run", pictures=False)
+    held = open_run(tmp_path / "run")
+    again = held.band()
+    assert again.constants == band.constants
+    assert again.summary == json.loads((tmp_path / "run/summary.json").read_text())["band"] == band.summary
+    for name in ("times_s", "nominal", "quantiles", "values", "figures", "numbers"):
+        assert getattr(again, name) == pytest.approx(getattr(band, name), rel=1e-8, abs=1e-12)
+
+
+def test_a_run_without_a_band_has_none_to_read(block, tmp_path):
+    run = simulate(block, cores=1)
+    run.save(tmp_path / "run", pictures=False)
+    with pytest.raises(InputError, match="run must have a band"):
+        open_run(tmp_path / "run").band()
+
+
+@pytest.mark.slow
+def test_other_seeds_give_the_same_band_within_its_error(block):
+    ends = [band_of(block, 256, seed=seed, cores=1).summary["force_N"]["peak"] for seed in (1, 2, 3)]
+    for level in LEVELS:
+        values = np.array([each[level] for each in ends])
+        print(level, values)
+        assert np.ptp(values) < 0.12 * values.mean()
+
+
+@pytest.mark.slow
+def test_a_needle_has_a_band_by_runs_of_its_samples(tables, tmp_path):
+    scene = Scene(**tables["needle"])
+    band = band_of(scene, 16)
+    assert band.summary["failed"] == 0
+    file = tmp_path / "sample.toml"
+    file.write_text(band.files[5], "utf-8")
+    again = simulate(changed(scene, {"materials": str(file)}), cores=1).summary
+    assert band.figures[5][0] == pytest.approx(again["force_N"]["peak"], rel=1e-9)
+    parallel = band_of(scene, 16, workers=2)
+    assert np.array_equal(parallel.figures, band.figures, equal_nan=True)
+
+
+def test_what_a_band_cannot_use_is_refused(tables, block):
+    with pytest.raises(InputError, match="constants with a range, got none"):
+        band_of(Scene(**tables["wall"]), 16)
+    with pytest.raises(InputError, match="band must be"):
+        require_band(block, 3, None)
+    with pytest.raises(InputError, match="workers must be left out"):
+        require_band(block, 16, 2)
+    require_band(block, 16, 2, each_run=True)
+    with pytest.raises(InputError, match="each_run must be left out of a scene whose loads cannot be reweighed"):
+        require_band(Scene(**tables["needle"]), 16, None, each_run=True)
+
+
+def test_an_image_of_densities_states_the_range_of_a_factor():
+    law = "internal: median 400 kg/m3, 90 % between 300 and 520; least 60, greatest 1900"
+    assert density_prior(law) == Prior(1.0, 0.75, 1.3)
+    assert density_prior("") is None
+    assert DENSITY == "density.bone"
+
+
+def test_a_report_shows_the_band(block, tmp_path):
+    run = simulate(block, cores=1)
+    run.save(tmp_path / "run", pictures=False)
+    assert band_section(SavedRun(tmp_path / "run"), escape) == ""
+    peak = run.band(16, cores=1).summary["force_N"]["peak"]
+    text = band_section(SavedRun(tmp_path / "run"), escape)
+    assert f"{peak['p05']:.3g} to {peak['p95']:.3g}" in text
+    assert {path.name for path in (tmp_path / "run/pictures").iterdir()} == {"band.png", "band_sobol.png"}
+    assert text.count("data:image/png;base64,") == 2
+
+
+def test_a_file_of_fitted_constants_narrows_the_band_and_groups_what_it_correlates(block, tmp_path):
+    values = {name: one.value for name, one in constants("cutting", "bone").items() if "chip" in name or "edge" in name}
+    entries = "".join(
+        f"[cutting.bone.{name}]\nvalue = {value}\nrange = [{0.95 * value}, {1.05 * value}]\n"
+        'source = "a fit"\nconfidence = "H"\n'
+        for name, value in values.items()
+    )
+    names = '["cutting.bone.radial_edge_N_mm", "cutting.bone.tangential_edge_N_mm"]'
+    file = tmp_path / "fitted.toml"
+    file.write_text(f"{entries}[correlation]\nnames = {names}\nmatrix = [[1.0, 0.8], [0.8, 1.0]]\n", "utf-8")
+    wide = band_of(block, 16, cores=1)
+    fitted = band_of(changed(block, {"materials": str(file)}), 16, cores=1)
+    spread = [
+        each.summary["force_N"]["peak"]["p95"] / each.summary["force_N"]["peak"]["p05"] for each in (wide, fitted)
+    ]
+    assert spread[1] < 0.4 * spread[0]
+    groups = list(fitted.summary["sobol"]["force_N.peak"])
+    assert "cutting.bone.tangential_edge_N_mm + cutting.bone.radial_edge_N_mm" in groups

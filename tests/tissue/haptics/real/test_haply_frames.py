@@ -1,0 +1,192 @@
+"""Frames of Haply's Inverse Service, as its documentation prints them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tissue import InputError
+from tissue.haptics.real.haply_frames import ServiceState, force_frame, opening_frame, spelling_of, version_in
+from tissue.haptics.real.haply_service import problem_of, service_address
+
+FIRST = {
+    "session_id": 7,
+    "inverse3": [
+        {
+            "device_id": "049D",
+            "config": {"type": "inverse3", "device_info": {"major_version": 7, "minor_version": 4}},
+            "state": {
+                "cursor_position": {"x": 0.01, "y": -0.12, "z": 0.15},
+                "cursor_velocity": {"x": 0.1, "y": 0.2, "z": -0.3},
+                "body_orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+            },
+            "status": {"calibrated": True, "in_use": False, "power_supply": True, "ready": True, "started": True},
+        }
+    ],
+    "wireless_verse_grip": [
+        {
+            "device_id": "61548",
+            "state": {
+                "orientation": {"w": 0.5, "x": 0.5, "y": -0.5, "z": 0.5},
+                "buttons": {"a": False, "b": True, "c": True},
+                "battery_level": 0.8,
+            },
+            "status": {"connected": True, "awake": True, "ready": True},
+        }
+    ],
+}
+
+
+def state_after(*frames, device_id=""):
+    state = ServiceState(device_id)
+    for frame in frames:
+        state.take(json.dumps(frame))
+    return state
+
+
+def test_the_first_frame_gives_pose_speed_orientation_and_buttons():
+    sample = state_after(FIRST).sample()
+    assert sample.position_m == (0.01, -0.12, 0.15) and sample.velocity_m_s == (0.1, 0.2, -0.3)
+    assert sample.quaternion == (0.5, -0.5, 0.5, 0.5) and sample.buttons == 0b110
+    assert state_after(FIRST).model() == "inverse3, 049D, firmware 7.4"
+
+
+def test_later_frames_change_what_they_hold_and_leave_the_rest():
+    partial = {"inverse3": [{"device_id": "049D", "state": {"cursor_position": {"x": 0.02, "y": -0.11, "z": 0.14}}}]}
+    pressed = {"wireless_verse_grip": [{"device_id": "61548", "state": {"buttons": {"a": True}}}]}
+    state = state_after(FIRST)
+    assert state.take(json.dumps(partial)) and not state.take(json.dumps(pressed))
+    sample = state.sample()
+    assert sample.position_m == (0.02, -0.11, 0.14) and sample.velocity_m_s == (0.1, 0.2, -0.3)
+    assert sample.quaternion == (0.5, -0.5, 0.5, 0.5) and sample.buttons == 0b111
+    assert state.status("calibrated") is True
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "7", '"inverse3"', b"\xff\xfe", '{"inverse3": 3}', '{"inverse3": [4, {"device_id": 5}]}'],
+)
+def test_what_is_no_frame_changes_nothing(text):
+    state = state_after(FIRST)
+    assert state.take(text) is False and state.sample() == state_after(FIRST).sample()
+
+
+@pytest.mark.parametrize("wrong", ["0.1", None, True, float("nan"), float("inf"), {}, 10**400])
+def test_a_number_that_is_none_gives_no_sample(wrong):
+    position = {"x": wrong, "y": 0.0, "z": 0.0}
+    state = state_after(FIRST)
+    state.take(json.dumps({"inverse3": [{"device_id": "049D", "state": {"cursor_position": position}}]}))
+    assert state.sample() is None
+
+
+def test_a_handle_with_one_button_and_none_at_all():
+    wired = dict(FIRST)
+    del wired["wireless_verse_grip"]
+    assert state_after(wired).sample().quaternion == (0.0, 0.0, 0.0, 1.0)
+    wired["verse_grip"] = [
+        {"device_id": "A", "state": {"button": True, "orientation": {"w": 1, "x": 0, "y": 0, "z": 0}}}
+    ]
+    assert state_after(wired).sample().buttons == 1
+
+
+@pytest.mark.parametrize("spelling", ["vector", "values"])
+def test_a_force_in_both_spellings(spelling):
+    frame = json.loads(force_frame("049D", (0.25, -1e-9, 1.5), spelling))
+    vector = {"x": 0.25, "y": 0.0, "z": 1.5}
+    assert frame == {"inverse3": [{"device_id": "049D", "commands": {"set_cursor_force": {spelling: vector}}}]}
+    opening = json.loads(opening_frame('0"9', spelling))
+    assert opening["session"] == {"configure": {"profile": {"name": "tissue:simulation"}}}
+    assert opening["inverse3"][0]["device_id"] == '0"9'
+    assert opening["inverse3"][0]["commands"]["set_cursor_force"][spelling] == {"x": 0.0, "y": 0.0, "z": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("answer", "version"),
+    [
+        ('{"git_tag": "3.5.0", "project_version": "3.5.0.0"}', (3, 5)),
+        ('{"ok": true, "data": {"git_tag": "v3.1.2"}}', (3, 1)),
+        ('{"git_describe": "3.10.0-2-gce34c39e"}', (3, 10)),
+        ('{"ok": false}', None),
+        ("not found", None),
+        ("[]", None),
+    ],
+)
+def test_the_version_of_a_service(answer, version):
+    assert version_in(answer) == version
+
+
+def test_the_spelling_follows_the_version_and_without_one_the_session():
+    assert [spelling_of(each, has_session=True) for each in ((3, 1), (3, 4), (3, 5), (3, 10), (4, 0))] == [
+        "values", "values", "vector", "vector", "vector",
+    ]  # fmt: skip
+    assert spelling_of(None, has_session=True) == "vector" and spelling_of(None, has_session=False) == "values"
+
+
+@pytest.mark.parametrize(
+    ("address", "parts"),
+    [
+        ("", ("ws://localhost:10001", "localhost", 10001, "")),
+        ("ws://127.0.0.1:9/#049D", ("ws://127.0.0.1:9", "127.0.0.1", 9, "049D")),
+    ],
+)
+def test_addresses(address, parts):
+    assert service_address(address) == parts
+
+
+@pytest.mark.parametrize(
+    "address", ["localhost:10001", "http://x:1", "ws://x", "ws://x:99999", "ws://x:1/path", "049D"]
+)
+def test_what_is_no_address_is_refused(address):
+    with pytest.raises(InputError, match=r"^hardware\.address must be ws://HOST:PORT.*: use ws://localhost:10001$"):
+        service_address(address)
+
+
+def test_no_text_of_a_service_raises():
+    """Frames with characters, entries and whole branches exchanged: merged or ignored, and a sample or none."""
+    rng, whole = np.random.default_rng(1), json.dumps(FIRST)
+    values = [None, True, 7, -1e308, "x", [], {}, [[]], {"x": {"x": {}}}, [{"device_id": "049D"}]]
+    state = state_after(FIRST)
+    for _ in range(3000):
+        text = bytearray(whole.encode())
+        for place in rng.integers(0, len(text), size=rng.integers(1, 4)):
+            text[place] = rng.integers(32, 127)
+        table = json.loads(whole)
+        branch = table
+        while isinstance(branch, dict | list) and branch and rng.random() < 0.9:
+            key = rng.choice(list(branch)) if isinstance(branch, dict) else int(rng.integers(len(branch)))
+            if not isinstance(branch[key], dict | list) or rng.random() < 0.3:
+                branch[key] = values[rng.integers(len(values))]
+                break
+            branch = branch[key]
+        for frame in (bytes(text), json.dumps(table)):
+            state.take(frame)
+            sample = state.sample()
+            assert sample is None or all(abs(each) < 1e6 for each in (*sample.position_m, *sample.quaternion))
+            assert isinstance(problem_of(state), str) and isinstance(state.model(), str)
+
+
+def changed(**status):
+    device = FIRST["inverse3"][0]
+    return {"inverse3": [device | {"status": device["status"] | status}]}
+
+
+@pytest.mark.parametrize(
+    ("frame", "sentence"),
+    [
+        (changed(calibrated=False), "haply must be calibrated, got calibrated = false of 049D: calibrate it as"),
+        (changed(power_supply=False), "haply must have power, got power_supply = false of 049D: connect its power"),
+        (changed(ready=False), "haply must be ready, got ready = false of 049D: wait until its light"),
+        ({"inverse3": []}, "haply must list an Inverse3, got none: plug it in"),
+        ({}, "haply must list an Inverse3, got none: plug it in"),
+    ],
+)
+def test_why_a_device_cannot_be_used(frame, sentence):
+    problem = problem_of(state_after(frame))
+    assert problem.startswith(sentence) and "\n" not in problem
+
+
+def test_a_device_of_another_name_is_refused_with_those_that_there_are():
+    assert problem_of(state_after(FIRST)) == ""
+    assert problem_of(state_after(FIRST, device_id="A14")) == (
+        "hardware.address must name one of the devices 049D behind #, got A14: use #049D"
+    )

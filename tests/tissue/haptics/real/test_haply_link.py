@@ -1,0 +1,229 @@
+"""The exchange with a service: what is sent and when, against a stand-in that speaks the documented frames."""
+
+import time
+
+import numpy as np
+import pytest
+from haply_service import DEVICE, HaplyService
+from websockets.sync.client import connect
+
+from tissue import InputError
+from tissue.haptics.device.device import DeviceError
+from tissue.haptics.real.haply import HaplyAdapter
+from tissue.haptics.real.haply_frames import force_frame
+from tissue.scene.hardware import Hardware
+
+PATIENCE_S = 20.0
+"""How long a test waits for what has to come; nothing depends on how soon it does."""
+
+
+@pytest.fixture
+def service():
+    with HaplyService() as running:
+        yield running
+
+
+def adapter_of(service, device=""):
+    return HaplyAdapter(Hardware(address=service.url + device))
+
+
+def wait_for(condition, adapter=None, force_N=None):
+    """Push a force and poll until something holds; the samples that came."""
+    until, samples = time.perf_counter() + PATIENCE_S, []
+    while not condition(samples):
+        assert time.perf_counter() < until, "it did not come"
+        if adapter is not None and force_N is not None:
+            adapter.push(np.array(force_N), np.zeros(3))
+        if adapter is not None and (sample := adapter.poll()) is not None:
+            samples.append(sample)
+        time.sleep(1e-3)
+    return samples
+
+
+@pytest.mark.parametrize("version", ["3.5.0", "3.1.2"])
+def test_a_force_arrives_in_the_spelling_of_the_services_version(version):
+    with HaplyService(version) as service, adapter_of(service) as adapter:
+        wait_for(lambda _: service.commands and service.last_N() == (0.5, -0.25, 1.0), adapter, (0.5, -0.25, 1.0))
+        sent = service.received[-1]["inverse3"][0]["commands"]["set_cursor_force"]
+        assert list(sent) == ["vector" if version == "3.5.0" else "values"]
+    wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
+
+
+def test_the_first_frame_names_the_session_and_holds_no_force_and_no_other_names_it(service):
+    with adapter_of(service) as adapter:
+        wait_for(lambda samples: len(samples) > 5, adapter, (1.0, 0.0, 0.0))
+        frames = list(service.received)
+    assert frames[0]["session"]["configure"]["profile"]["name"] == "tissue:simulation"
+    assert frames[0]["inverse3"][0]["commands"]["set_cursor_force"]["vector"] == {"x": 0.0, "y": 0.0, "z": 0.0}
+    assert not any("session" in frame for frame in frames[1:])
+
+
+def test_one_state_for_each_frame_and_every_sample_is_a_new_one(service):
+    service.arm.aim = lambda time_s: (0.01 * time_s, 0.0, 0.0)
+    with adapter_of(service) as adapter:
+        samples = wait_for(lambda samples: len(samples) > 50, adapter, (0.0, 0.0, 0.0))
+        assert adapter.poll() is None or adapter.poll() is None
+    assert len({sample.position_m for sample in samples}) == len(samples)
+    assert len(service.commands) >= len(samples)
+
+
+@pytest.mark.parametrize("version", ["3.5.0", "3.1.2"])
+def test_partial_frames_give_whole_samples(version):
+    with HaplyService(version) as service:
+        service.partial, service.buttons = True, {"a": True, "b": False, "c": False}
+        service.orientation = {"w": 0.6, "x": 0.0, "y": 0.8, "z": 0.0}
+        with adapter_of(service) as adapter:
+            samples = wait_for(lambda samples: len(samples) > 20, adapter, (0.0, 0.0, 0.0))
+    assert all(each.buttons == 1 and each.quaternion == (0.0, 0.8, 0.0, 0.6) for each in samples)
+    assert all(each.position_m == pytest.approx((0.0, -0.12, 0.15), abs=1e-3) for each in samples)
+
+
+def test_a_force_that_is_not_pushed_again_is_taken_off(service):
+    with adapter_of(service) as adapter:
+        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("status", ["calibrated", "power_supply", "ready"])
+def test_a_device_that_is_not_ready_is_refused_before_any_force(service, status):
+    service.status[status] = False
+    with pytest.raises(InputError, match=rf"^haply must .*, got {status} = false of {DEVICE}: "), adapter_of(service):
+        pass
+    assert not service.commands
+    found = HaplyAdapter.find(service.url)
+    assert [each.problem.startswith("haply must ") for each in found] == [True] and found[0].limits is not None
+
+
+def test_a_device_that_loses_its_calibration_ends_the_run_without_force(service):
+    with pytest.raises(DeviceError, match="haply must be calibrated"), adapter_of(service) as adapter:
+        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        service.status["calibrated"] = False
+        wait_for(lambda _: False, adapter, (1.0, 0.0, 0.0))
+    wait_for(lambda _: not service.is_open)
+    assert service.last_N() == (0.0, 0.0, 0.0)
+
+
+def test_another_program_on_the_device_is_reported_and_its_force_adds(service):
+    service.status["in_use"] = True
+    assert "used by another program" in HaplyAdapter.find(service.url)[0].detail
+    with adapter_of(service) as adapter, connect(service.url, proxy=None) as other:
+        assert any("another program uses the device" in what for what in adapter.happened())
+
+        def both_push(_):
+            other.send(force_frame(DEVICE, (0.0, 2.0, 0.0), "vector"))
+            other.recv()
+            return service.force_N() == [1.0, 2.0, 0.0]
+
+        wait_for(both_push, adapter, (1.0, 0.0, 0.0))
+
+
+def test_a_restart_of_the_service_is_survived_without_force_until_the_loop_pushes_again(service):
+    with adapter_of(service) as adapter:
+        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        service.stop()
+        sessions = service.sessions
+        wait_for(lambda _: any("closed the connection" in what for what in adapter.happened()))
+        service.start()
+        wait_for(lambda samples: len(samples) > 3 and service.sessions > sessions, adapter)
+        assert next(force for _, number, force in service.commands if number > sessions) == (0.0, 0.0, 0.0)
+        wait_for(lambda _: service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+    wait_for(lambda _: not service.is_open)
+    assert service.last_N() == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.slow
+def test_a_service_that_stays_away_ends_the_run_with_one_sentence(service):
+    with pytest.raises(DeviceError, match=r"haply must keep its connection, got .*: start the Inverse Service"):  # noqa: SIM117
+        with adapter_of(service) as adapter:
+            wait_for(len, adapter)
+            service.stop()
+            wait_for(lambda _: False, adapter, (1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("fault", [{"late_s": 0.06}, {"dropped": 1.0}, {"broken": "{"}], ids=str)
+def test_late_dropped_and_broken_answers_take_the_force_off(service, fault):
+    """Late and dropped ones by the exchange itself; of broken ones there is no sample, so that the watchdog does it."""
+    with adapter_of(service) as adapter:
+        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        for name, value in fault.items():
+            setattr(service, name, value)
+        if "broken" in fault:
+            wait_for(lambda _: service.received and adapter.poll() is None and adapter.poll() is None)
+        wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
+        for name in fault:
+            setattr(service, name, type(fault[name])())
+        wait_for(lambda samples: len(samples) > 10, adapter, (0.0, 0.0, 0.0))
+    wait_for(lambda _: not service.is_open)
+    assert service.last_N() == (0.0, 0.0, 0.0)
+
+
+def test_late_answers_are_never_taken_for_new_samples(service):
+    """Each answer comes 60 ms late: whatever is polled was measured before the answers became late."""
+    with adapter_of(service) as adapter:
+        wait_for(len, adapter, (0.0, 0.0, 0.0))
+        service.late_s = 0.06
+        wait_for(lambda _: any("did not answer within" in what for what in adapter.happened()), adapter)
+        adapter.poll()
+        service.arm.aim = lambda time_s: (0.02, 0.0, 0.0)
+        until = time.perf_counter() + 0.5
+        while time.perf_counter() < until:
+            adapter.push(np.ones(3), np.zeros(3))
+            assert adapter.poll() is None
+            time.sleep(1e-3)
+
+
+def test_what_is_taken_off_is_counted(service):
+    with adapter_of(service) as adapter:
+        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        before = adapter.releases
+        wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))  # it was not pushed again
+        assert adapter.releases > before
+
+
+def test_a_service_that_sends_more_than_it_is_asked_for_gives_its_newest_state(service):
+    service.repeated = 3
+    service.arm.aim = lambda time_s: (0.01 * time_s, 0.0, 0.0)
+    with adapter_of(service) as adapter:
+        samples = wait_for(lambda samples: len(samples) > 50, adapter, (0.0, 0.0, 0.0))
+    assert np.median(np.diff([sample.position_m[0] for sample in samples])) > 0.0
+
+
+def test_the_second_device_is_taken_by_its_name(service):
+    service.devices = (DEVICE, "A14")
+    assert [each.where for each in HaplyAdapter.find(service.url)] == [f"{service.url}#{DEVICE}", f"{service.url}#A14"]
+    with adapter_of(service, "#A14") as adapter:
+        wait_for(lambda samples: len(samples) > 2, adapter, (0.0, 0.0, 0.0))
+        assert service.received[-1]["inverse3"][0]["device_id"] == "A14"
+
+
+def test_what_is_found_where_no_service_is():
+    with HaplyService() as service:
+        url = service.url
+        found = HaplyAdapter.find(url)
+        assert (found[0].name, found[0].where, found[0].problem) == ("haply", f"{url}#{DEVICE}", "")
+        assert "049D, firmware 7.4, right-handed, service 3.5" in found[0].detail
+        service.devices = ()
+        assert HaplyAdapter.find(url)[0].problem.startswith("haply must list an Inverse3, got none")
+    (none,) = HaplyAdapter.find(url)
+    assert none.limits is None and none.problem.startswith(f"haply must be reached at {url}, got ")
+    assert "start the Inverse Service" in none.problem
+    assert "hardware.address must be ws://" in HaplyAdapter.find("usb")[0].problem
+
+
+def test_the_library_is_named_where_it_is_missing(service, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "websockets.sync.client", None)
+    with pytest.raises(InputError, match=r"websockets must be installed .*: pip install 'tissue-sim\[haply\]'"):
+        adapter_of(service).__enter__()
+
+
+def test_closing_ends_with_zero_from_any_thread_and_twice(service):
+    with adapter_of(service) as adapter:
+        wait_for(lambda _: service.commands and service.last_N() == (1.0, 0.0, 0.0), adapter, (1.0, 0.0, 0.0))
+        adapter.close()
+        wait_for(lambda _: service.last_N() == (0.0, 0.0, 0.0))
+        count = len(service.commands)
+        adapter.push(np.ones(3), np.zeros(3))
+        adapter.close()
+    assert len(service.commands) == count

@@ -1,0 +1,237 @@
+"""Packets byte for byte, and every fault of a line to a device: what is dropped, counted, refused and forgotten."""
+
+import math
+import re
+import struct
+from pathlib import Path
+
+import pytest
+from network_client import BYE, HEARTBEAT, HELLO, POSE, REFUSED, WRENCH, packet, pose, read
+
+from tissue.haptics.real.adapter import HardwareSample
+from tissue.haptics.real.network_protocol import Kind, Packet, PacketError, is_newer, packed, unpacked
+from tissue.haptics.real.network_session import SILENCE_S, NetworkSession
+
+PAGE = Path(__file__).resolve().parents[3] / "docs/guide/network_device.md"
+LAST = 2**32 - 1
+PUSH = ((1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+SAMPLE = HardwareSample((0.01, -0.02, 0.03), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1)
+SHOWN = {
+    "hello": Packet(kind=Kind.HELLO, sequence=1),
+    "pose": Packet(kind=Kind.POSE, sequence=2, echo=7, time_s=0.5, sample=SAMPLE),
+    "wrench": Packet(kind=Kind.WRENCH, sequence=9, echo=2, time_s=12.25, wrench=((0.0, 0.0, 1.5), (0.0, 0.0, 0.0))),
+}
+
+
+class Clock:
+    """Time by hand."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def connected(number=1, clock=None):
+    """A session that has taken the device "me"."""
+    session = NetworkSession(clock or Clock())
+    assert read(session.receive(packet(HELLO, number), "me"))[0] == HELLO
+    return session
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_the_bytes_of_the_page_are_those_of_the_code(name):
+    text = re.search(rf"^{name}\n((?:[0-9a-f ]+\n)+)", PAGE.read_text("utf-8"), re.MULTILINE)[1]
+    data = bytes.fromhex(text.replace("\n", " "))
+    assert packed(SHOWN[name]) == data and unpacked(data) == SHOWN[name]
+
+
+def test_the_clients_bytes_are_those_of_the_code():
+    """The client of the tests is written from the page."""
+    assert pose(2, SAMPLE.position_m, velocity=(0.1, 0.0, 0.0), buttons=1, echo=7, time_s=0.5) == packed(SHOWN["pose"])
+    assert packet(HELLO, 1) == packed(SHOWN["hello"])
+    payload = struct.pack("<6d", 0.0, 0.0, 1.5, 0.0, 0.0, 0.0)
+    assert packet(WRENCH, 9, payload, echo=2, time_s=12.25) == packed(SHOWN["wrench"])
+
+
+def test_a_reason_is_a_sentence_of_400_bytes_at_most():
+    found = unpacked(packed(Packet(kind=Kind.REFUSED, sequence=0, reason="ü" * 300)))
+    assert found.reason == "ü" * 200
+    with pytest.raises(PacketError, match="length"):
+        unpacked(packet(REFUSED, 0, b"x" * 401))
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("foreign", b""),
+        ("foreign", b"GET / HTTP/1.1\r\n\r\n"),
+        ("foreign", packet(POSE, 5, magic=b"TDEW")),
+        ("length", packet(POSE, 5)[:20]),
+        ("length", pose(5)[:-1]),
+        ("length", pose(5) + b"\0"),
+        ("length", packet(POSE, 5, b"")),
+        ("length", packet(HELLO, 5, b"1")),
+        ("length", packet(POSE, 5, b"1" * 112, length=111)),
+        ("version", packet(POSE, 5, b"1" * 112, version=2)),
+        ("version", packet(HELLO, 5, version=0)),
+        ("checksum", pose(5)[:-1] + b"\0"),
+        ("checksum", pose(5)[:40] + b"\1" + pose(5)[41:]),
+        ("kind", packet(0, 5)),
+        ("kind", packet(7, 5)),
+        ("kind", packet(WRENCH, 5, struct.pack("<6d", *range(6)))),
+        ("kind", packet(REFUSED, 5, b"no")),
+        ("number", pose(5, (math.nan, 0.0, 0.0))),
+        ("number", pose(5, (0.0, math.inf, 0.0))),
+        ("number", pose(5, velocity=(0.0, 0.0, -math.inf))),
+        ("number", pose(5, quaternion=(0.0, 0.0, 0.0, 0.0))),
+        ("number", pose(5, quaternion=(0.0, 0.0, 0.0, 1.02))),
+        ("number", pose(5, quaternion=(math.nan, 0.0, 0.0, 1.0))),
+        ("number", pose(5, time_s=math.nan)),
+        ("number", packet(WRENCH, 5, struct.pack("<6d", *[math.nan] * 6))),
+    ],
+)
+def test_what_cannot_be_used_is_counted_and_dropped(name, data):
+    session = connected()
+    session.receive(pose(2, (1.0, 0.0, 0.0)), "me")
+    before = session.counts.copy()
+    assert session.receive(data, "me") is None
+    assert session.counts - before == {name: 1} | ({"lost": 2} if name == "kind" and len(data) > 28 else {})
+    assert session.take().position_m == (1.0, 0.0, 0.0) and session.peer == "me"
+
+
+def test_late_and_repeated_poses_are_dropped_and_lost_ones_counted():
+    session = connected()
+    for number, taken in ((2, True), (5, True), (4, False), (5, False), (3, False), (6, True)):
+        session.receive(pose(number, (float(number), 0.0, 0.0)), "me")
+        sample = session.take()
+        assert (sample is not None) is taken and (not taken or sample.position_m[0] == number)
+    assert session.counts == {"hellos": 1, "poses": 3, "lost": 2, "late": 2, "repeated": 1}
+
+
+def test_numbers_go_on_over_their_end():
+    session = connected(LAST - 2)
+    for number in (LAST - 1, LAST, 0, 1, LAST, 2):
+        session.receive(pose(number, (1.0, 0.0, 0.0)), "me")
+    assert session.counts == {"hellos": 1, "poses": 5, "late": 1}
+
+
+@pytest.mark.parametrize(
+    ("number", "before", "newer"),
+    [
+        (1, 0, True),
+        (0, 0, False),
+        (0, 1, False),
+        (0, LAST, True),
+        (LAST, 0, False),
+        (2**31 - 1, 0, True),
+        (2**31, 0, False),
+    ],
+)
+def test_a_number_is_newer_within_half_of_all(number, before, newer):
+    assert is_newer(number, before) is newer
+
+
+def test_our_numbers_go_on_over_their_end_and_the_round_trip_with_them():
+    clock = Clock()
+    session = connected(clock=clock)
+    session._sent = LAST - 1
+    numbers = [read(session.wrench(PUSH)[1])[1] for _ in range(3)]
+    clock.now += 0.004
+    session.receive(packet(HEARTBEAT, 2, echo=numbers[-1]), "me")
+    assert numbers == [LAST, 0, 1] and session.round_trip_s == pytest.approx(0.004)
+
+
+def test_a_wrench_goes_to_the_device_with_what_was_seen_of_it():
+    session = connected(3)
+    session.receive(pose(4), "me")
+    peer, data = session.wrench(PUSH)
+    kind, number, echo, payload = read(data)
+    assert (peer, kind, number, echo) == ("me", WRENCH, 2, 4)
+    assert struct.unpack("<6d", payload) == (*PUSH[0], *PUSH[1])
+
+
+def test_the_round_trip_is_from_a_wrench_to_the_first_packet_that_shows_it():
+    clock = Clock()
+    session = connected(clock=clock)
+    assert math.isnan(session.round_trip_s)
+    session.wrench(PUSH)
+    clock.now += 0.003
+    session.receive(pose(2, echo=2), "me")
+    assert session.round_trip_s == pytest.approx(0.003)
+    clock.now += 0.1
+    session.receive(pose(3, echo=2), "me")  # shown before
+    session.receive(pose(4, echo=77), "me")  # never sent
+    assert session.round_trip_s == pytest.approx(0.003)
+
+
+def test_a_second_device_is_refused_with_a_reason_and_its_poses_are_dropped():
+    session = connected()
+    kind, number, echo, reason = read(session.receive(packet(HELLO, 9), "other"))
+    assert (kind, number, echo) == (REFUSED, 0, 9)
+    assert reason.decode().startswith("one device must be used at a time, got a second: end the first")
+    assert session.receive(pose(10), "other") is None and session.take() is None and session.peer == "me"
+    assert session.counts == {"hellos": 1, "refused": 1, "stranger": 1}
+
+
+def test_a_silent_device_is_given_up_and_another_taken():
+    clock = Clock()
+    session = connected(clock=clock)
+    session.receive(pose(2), "me")
+    clock.now += 0.99 * SILENCE_S
+    assert session.wrench(PUSH) is not None
+    clock.now += 0.02 * SILENCE_S
+    assert session.take() is None and session.wrench(PUSH) is None and session.peer is None
+    assert read(session.receive(packet(HELLO, 1), "other"))[0] == HELLO
+    session.receive(pose(2), "other")
+    assert session.take() is not None and session.counts["silences"] == 1
+
+
+def test_heartbeats_keep_a_device_that_has_no_pose():
+    clock = Clock()
+    session = connected(clock=clock)
+    for number in range(2, 12):
+        clock.now += 0.4 * SILENCE_S
+        session.receive(packet(HEARTBEAT, number), "me")
+        assert session.take() is None
+    assert session.peer == "me" and session.counts["heartbeats"] == 10
+
+
+def test_a_device_that_starts_again_is_taken_again():
+    """Its numbers begin anew; a hello that came twice does not let old poses pass as new ones."""
+    session = connected()
+    session.receive(pose(1000), "me")
+    assert read(session.receive(packet(HELLO, 1, time_s=5.0), "me"))[0] == HELLO
+    session.receive(pose(2), "me")
+    assert session.take() is not None
+    session.receive(pose(3), "me")
+    assert read(session.receive(packet(HELLO, 1, time_s=5.0), "me"))[0] == HELLO
+    session.receive(pose(2), "me")
+    assert session.counts == {"hellos": 2, "poses": 3, "repeated": 1, "late": 1, "lost": 998}
+
+
+@pytest.mark.parametrize("end", ["bye", "connection"])
+def test_a_device_that_ends_makes_a_place(end):
+    session = connected()
+    session.receive(pose(2), "me")
+    session.leave("other")
+    assert session.peer == "me"
+    if end == "bye":
+        session.receive(packet(BYE, 3), "me")
+    else:
+        session.leave("me")
+    assert session.peer is None and session.take() is None and session.wrench(PUSH) is None
+    assert read(session.receive(packet(HELLO, 1), "other"))[0] == HELLO
+
+
+def test_our_bye_ends_with_the_device():
+    session = connected()
+    peer, data = session.bye()
+    assert peer == "me" and read(data)[0] == BYE and session.peer is None and session.bye() is None
+
+
+def test_nothing_is_sent_before_a_device_asked():
+    session = NetworkSession(Clock())
+    assert session.receive(pose(1), "me") is None and session.wrench(PUSH) is None and session.take() is None
+    assert session.counts == {"stranger": 1}

@@ -1,0 +1,99 @@
+"""A record as a device: the poses of a file, one a tick, and the run that it moves."""
+
+import numpy as np
+import pytest
+
+from meshes.base.errors import InputError
+from meshes.paths.replay_table import POSE_COLUMNS
+from tissue.haptics.real.recorded import RecordedAdapter
+from tissue.objects.simulate import simulate
+from tissue.scene.hardware import Hardware
+from tissue.scene.load import load_scene
+from tissue.simulation.builders.motions import motion_of
+
+
+def table(path, times, heights_mm, quaternion=(0.0, 0.0, 0.0, 1.0)):
+    """A file of poses that go up and down."""
+    rows = [(time, 1.0, 2.0, height, *quaternion) for time, height in zip(times, heights_mm, strict=True)]
+    np.savetxt(path, rows, delimiter=",", header=",".join(("time_s", *POSE_COLUMNS)), comments="", fmt="%.17g")
+    return Hardware(address=str(path))
+
+
+def test_a_record_gives_a_pose_each_tick_and_none_after_the_last(tmp_path):
+    hardware = table(tmp_path / "poses.csv", (5.0, 5.004, 5.01), (0.0, 4.0, -2.0))
+    with RecordedAdapter(hardware) as adapter:
+        samples = [adapter.poll() for _ in range(11)]
+        assert adapter.poll() is None and adapter.poll() is None
+        adapter.push(np.ones(3), np.ones(3))
+    heights = [1e3 * sample.position_m[2] for sample in samples]
+    assert heights == pytest.approx([0, 1, 2, 3, 4, 3, 2, 1, 0, -1, -2], abs=1e-9)
+    assert [s.velocity_m_s[2] for s in samples[1:5]] == pytest.approx([1.0] * 4)
+    assert [s.velocity_m_s[2] for s in samples[5:]] == pytest.approx([-1.0] * 6)
+    with adapter:
+        assert adapter.poll() == samples[0]  # entered again it begins anew
+        adapter.close()
+        assert adapter.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (None, r"hardware\.address must be an existing file of poses, got .*poses\.csv"),
+        ("time_s,tool_x_mm\n0,1\n", r"hardware\.address must have the columns"),
+    ],
+)
+def test_a_file_that_is_no_record_is_refused(tmp_path, content, sentence):
+    path = tmp_path / "poses.csv"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(InputError, match=sentence):
+        RecordedAdapter(Hardware(address=str(path)))
+    (found,) = RecordedAdapter.find(str(path))
+    assert found.limits is None and found.problem.startswith("hardware.address must")
+
+
+def test_a_record_needs_its_file(tmp_path):
+    with pytest.raises(
+        InputError, match=r"hardware\.address must be a file of poses with device = recorded, got nothing"
+    ):
+        RecordedAdapter()
+    hardware = table(tmp_path / "poses.csv", (0.0, 1.5), (0.0, 1.0))
+    (found,) = RecordedAdapter.find(hardware.address)
+    assert (found.detail, found.problem) == ("1.5 s of poses", "")
+
+
+def test_a_run_by_a_record_meets_the_wall_where_the_record_goes(tmp_path):
+    """From 12 mm above the wall 17 mm down: the pose is the record's, wherever the scene's motion starts (at 20 mm)."""
+    times = np.linspace(0.0, 1.0, 11)
+    hardware = table(tmp_path / "poses.csv", times, 12.0 - 17.0 * np.minimum(times / 0.5, 1.0))
+    keys = {"device": "recorded", "hardware.address": hardware.address, "hardware.ramp_ms": 0.0, "duration_s": 0.8}
+    run = simulate(load_scene("wall", keys))
+    recorded = np.column_stack(
+        [np.full(800, 1.0), np.full(800, 2.0), 12.0 - 17.0 * np.minimum(np.arange(800) / 500.0, 1.0)]
+    )
+    np.testing.assert_allclose(run.trace.vectors("device", "mm"), recorded, atol=1e-9)
+    np.testing.assert_allclose(run.trace.vectors("tool", "mm")[:350], recorded[:350], atol=1e-9)
+    assert run.trace["device_force_z_N"][:300].max() == 0.0 and run.trace["device_force_z_N"][-1] > 1.0
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_a_run_by_a_record_starts_at_its_pose_and_turn(tmp_path, scale):
+    """The tool starts at the first pose at any scale, turned as it was recorded."""
+    times, turn = np.linspace(0.0, 0.2, 5), (0.0, 0.6, 0.0, 0.8)
+    hardware = table(tmp_path / "poses.csv", times, 15.0 - 10.0 * times, turn)
+    keys = {"device": "recorded", "hardware.address": hardware.address, "coupling.motion_scale": scale}
+    run = simulate(load_scene("wall", keys | {"duration_s": 0.2}))
+    tool = run.trace.vectors("tool", "mm")
+    np.testing.assert_allclose(tool[0], (1.0, 2.0, 15.0), atol=1e-9)
+    np.testing.assert_allclose(tool[-1], (1.0, 2.0, 15.0 - 1.99 * scale), atol=1e-3)
+    found = np.array([run.trace[f"tool_q{axis}"][-1] for axis in "xyzw"])
+    assert abs(found @ turn) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_scene_whose_record_is_gone_has_the_motion_of_the_scene(tmp_path):
+    """So a saved run is viewed without its record, and only to run it again is refused."""
+    keys = {"device": "recorded", "hardware.address": str(tmp_path / "gone.csv")}
+    scene = load_scene("wall", keys)
+    assert motion_of(scene, step_s=1e-3).sweep_m()[0] == pytest.approx((0.0, 0.0, 0.02))
+    with pytest.raises(InputError, match=r"hardware\.address must be an existing file of poses"):
+        simulate(scene)

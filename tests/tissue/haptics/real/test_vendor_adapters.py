@@ -1,0 +1,346 @@
+"""Adapters of Force Dimension and OpenHaptics, on stand-ins that have the functions of their packages."""
+
+import ast
+import inspect
+import threading
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from vendor_doubles import FAILED, TIMEGUARD, ForceDimension, OpenHaptics, without
+
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceError
+from tissue.haptics.real import openhaptics
+from tissue.haptics.real.forcedimension import MOST_FAILURES, ForceDimensionAdapter, SigmaAdapter
+from tissue.haptics.real.openhaptics import HELD_S, OpenHapticsAdapter
+from tissue.motion.quaternion import of_matrix
+from tissue.scene.hardware import Hardware
+
+FORCE, TORQUE, NOTHING = np.array([1.0, -2.0, 3.0]), np.array([0.01, 0.02, -0.03]), np.zeros(3)
+
+
+def signatures(path):
+    """Arguments of the functions of a file, by name, without what they are annotated with."""
+    tree = ast.parse(path.read_text("utf-8"))
+    return {node.name: [each.arg for each in node.args.args] for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+@pytest.mark.parametrize(
+    ("package", "file", "stand_in"),
+    [
+        ("forcedimension_core", "dhd/__init__.py", lambda: ForceDimension().module()),
+        ("pyOpenHaptics", "hd.py", lambda: OpenHaptics().modules()[0]),
+        ("pyOpenHaptics", "hd_callback.py", lambda: OpenHaptics().modules()[1]),
+    ],
+)
+def test_a_stand_in_has_the_arguments_of_the_package(package, file, stand_in):
+    spec = find_spec(package)
+    if spec is None:
+        pytest.skip(f"{package} is not installed; its source was read for the stand-in")
+    theirs = signatures(Path(spec.origin).parent / file)
+    ours = {name: list(inspect.signature(each).parameters) for name, each in vars(stand_in()).items() if callable(each)}
+    assert ours and ours == {name: theirs[name] for name in ours}
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_quaternion_of_a_matrix(seed):
+    rotation = Rotation.random(random_state=seed) if seed > 3 else Rotation.from_rotvec(np.eye(4, 3)[seed] * np.pi)
+    found = np.array(of_matrix(rotation.as_matrix().tolist()))
+    assert abs(np.dot(found, rotation.as_quat())) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_device_of_force_dimension_is_read_and_pushed(monkeypatch):
+    device = ForceDimension().install(monkeypatch)
+    with ForceDimensionAdapter() as adapter:
+        sample = adapter.poll()
+        adapter.push(FORCE, TORQUE)
+    assert sample.position_m == (0.01, -0.02, 0.03) and sample.velocity_m_s == (0.1, 0.2, 0.3)
+    assert abs(np.dot(sample.quaternion, device.rotation.as_quat())) == pytest.approx(1.0)
+    assert sample.spin_rad_s == (1.0, 2.0, 3.0) and sample.buttons == 5
+    assert device.wrenches == [(1.0, -2.0, 3.0, 0.0, 0.0, 0.0), (0.0,) * 6]  # a wrist without motors plays no torque
+    assert device.calls == [
+        "open", "setMaxForce", "enableForce", "setForceAndTorque", "setForceAndTorque", "disableForce", "close",
+    ]  # fmt: skip
+    assert device.limits == {"force": 12.0} and not device.enabled
+
+
+def test_a_sigma_plays_torque_and_has_its_limit(monkeypatch):
+    device = ForceDimension(name="sigma.7", has_motors=True).install(monkeypatch)
+    with SigmaAdapter(Hardware(address="7")) as adapter:
+        adapter.push(FORCE, TORQUE)
+    assert device.wrenches[0] == (*FORCE, *TORQUE) and device.limits == {"force": 12.0, "torque": 0.2}
+    assert device.calls[0] == "openSerial"
+
+
+def test_a_device_without_a_wrist_is_not_asked_for_one(monkeypatch):
+    ForceDimension(has_wrist=False).install(monkeypatch)
+    with ForceDimensionAdapter() as adapter:
+        sample = adapter.poll()
+    assert sample.quaternion == (0.0, 0.0, 0.0, 1.0) and sample.spin_rad_s == (0.0, 0.0, 0.0)
+
+
+def test_what_is_not_new_is_no_sample_and_no_velocity_is_rest(monkeypatch):
+    device = ForceDimension().install(monkeypatch)
+    with ForceDimensionAdapter() as adapter:
+        device.answers["getPositionAndOrientationFrame"] = TIMEGUARD
+        assert adapter.poll() is None
+        device.answers = {"getLinearVelocity": FAILED, "getAngularVelocityRad": FAILED}
+        sample = adapter.poll()
+        assert sample.velocity_m_s == sample.spin_rad_s == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("call", ["getPositionAndOrientationFrame", "setForceAndTorque"])
+def test_a_device_that_answers_no_more_is_lost_and_left_without_force(monkeypatch, call):
+    device = ForceDimension().install(monkeypatch)
+    lost = pytest.raises(DeviceError, match="the device must answer, got the device is in use: check")
+    with lost, ForceDimensionAdapter() as adapter:
+        for count in range(3 * MOST_FAILURES):
+            device.answers[call] = 0 if count < MOST_FAILURES and count % 2 else FAILED
+            if call.startswith("get"):
+                adapter.poll()
+            else:
+                adapter.push(FORCE, TORQUE)
+    assert count >= MOST_FAILURES  # single failures in between are survived
+    assert device.calls[-2:] == ["disableForce", "close"]
+
+
+@pytest.mark.parametrize("call", ["open", "setMaxForce", "enableForce"])
+def test_a_device_that_cannot_be_opened_is_refused_and_closed(monkeypatch, call):
+    device = ForceDimension().install(monkeypatch)
+    device.answers[call] = FAILED
+    with pytest.raises(InputError, match="the device must answer, got the device is in use"), ForceDimensionAdapter():
+        pass
+    assert not device.enabled and (call == "open" or device.calls[-1] == "close")
+
+
+def test_another_kind_of_device_names_what_to_set(monkeypatch):
+    device = ForceDimension().install(monkeypatch)
+    with pytest.raises(InputError, match=r"got sigma-7 for omega\.6: set device = forcedimension"), SigmaAdapter():
+        pass
+    assert device.calls[-1] == "close" and not device.is_open
+    ForceDimension(name="sigma.7", has_motors=True).install(monkeypatch)
+    with pytest.raises(InputError, match=r"set device = sigma-7"), ForceDimensionAdapter():
+        pass
+
+
+def test_close_from_another_thread_switches_the_motors_off_even_where_a_call_fails(monkeypatch):
+    device = ForceDimension().install(monkeypatch)
+    adapter = ForceDimensionAdapter().__enter__()
+    device.answers["setForceAndTorque"] = FAILED
+    adapter.close()
+    adapter.close()
+    assert device.calls[-2:] == ["disableForce", "close"] and device.calls.count("close") == 1
+
+
+def test_found_devices_of_force_dimension(monkeypatch):
+    ForceDimension().install(monkeypatch)
+    (found,) = ForceDimensionAdapter.find()
+    assert (found.name, found.where, found.detail, found.problem) == ("forcedimension", "7", "omega.6", "")
+    assert found.limits.force_limit_N == 12.0 and SigmaAdapter.find() == []
+    assert "none: check power and cable" in ForceDimensionAdapter.find("8")[0].problem
+    ForceDimension(has_motors=True).install(monkeypatch)
+    assert SigmaAdapter.find()[0].limits.torque_limit_Nm == 0.2
+    ForceDimension().install(monkeypatch).answers["openID"] = FAILED
+    assert "in use" in ForceDimensionAdapter.find()[0].problem
+    ForceDimension(count=-1).install(monkeypatch)
+    assert "must be connected" in ForceDimensionAdapter.find()[0].problem
+
+
+@pytest.mark.parametrize("address", ["omega", "-3", "٣"])
+def test_a_serial_number_is_a_number(address):
+    with pytest.raises(InputError, match=f"hardware.address must be a serial number, got {address}: leave it out"):
+        ForceDimensionAdapter(Hardware(address=address))
+
+
+def test_a_touch_is_read_and_pushed_in_the_vendors_thread_alone(monkeypatch, capsys):
+    device = OpenHaptics().install(monkeypatch)
+    with OpenHapticsAdapter() as adapter:
+        assert adapter.poll() is None and device.forces == []
+        adapter.push(FORCE, TORQUE)
+        assert device.forces == []  # nothing outside the vendor's thread
+        device.step()
+        sample = adapter.poll()
+        assert adapter.poll() is None
+        adapter.push(FORCE, TORQUE)
+        ending = threading.Thread(target=adapter.close)
+        ending.start()
+        while not adapter._ended:
+            time.sleep(1e-3)
+        device.step()  # the vendor's thread plays zero before it is stopped
+        ending.join()
+        adapter.push(FORCE, TORQUE)
+        device.step()
+    assert sample.position_m == pytest.approx((0.01, -0.02, 0.03)) and sample.buttons == 2
+    assert abs(np.dot(sample.quaternion, device.rotation.as_quat())) == pytest.approx(1.0)
+    assert device.forces == [(1.0, -2.0, 3.0), (0.0, 0.0, 0.0)]
+    assert device.calls == ["init Default Device", "force", "start", "stop", "close 0"]
+    assert capsys.readouterr().out == ""  # what the package prints is not shown
+
+
+def test_closing_one_of_two_touches_leaves_the_other_running(monkeypatch):
+    """Each device plays its own force in its own frame, and the last one that is closed stops the scheduler."""
+    device = OpenHaptics().install(monkeypatch)
+    turning = threading.Event()
+
+    def turn():
+        while not turning.is_set():
+            device.step()
+            time.sleep(5e-4)
+
+    servo = threading.Thread(target=turn)
+    with OpenHapticsAdapter(Hardware(address="left")) as left:
+        servo.start()
+        with OpenHapticsAdapter(Hardware(address="right")) as right:
+            until = time.perf_counter() + 0.1
+            while time.perf_counter() < until:
+                left.push(FORCE, TORQUE)
+                right.push(-FORCE, TORQUE)
+            assert OpenHapticsAdapter.find("left")[0].detail == "in use by this program"
+        assert device.played[1][-1] == (0.0, 0.0, 0.0) and {(-1.0, 2.0, -3.0)} <= set(device.played[1])
+        assert "stop" not in device.calls and device.calls.count("start") == 1 and "close 1" in device.calls
+        left.poll()
+        left.push(FORCE, TORQUE)
+        time.sleep(0.02)
+        assert left.poll() is not None and device.played[0][-1] == tuple(FORCE)
+    turning.set()
+    servo.join()
+    assert not {(-1.0, 2.0, -3.0)} & set(device.played[0])
+    assert device.calls[-2:] == ["stop", "close 0"]
+
+
+def test_a_device_of_force_dimension_that_two_adapters_use_stays_open_for_the_second(monkeypatch):
+    device = ForceDimension().install(monkeypatch)
+    with ForceDimensionAdapter() as first:
+        with ForceDimensionAdapter(Hardware(address="7")):
+            assert ForceDimensionAdapter.find()[0].where == "7" and device.is_open
+        assert device.is_open and device.enabled and first.poll() is not None
+    assert not device.is_open and device.wrenches[-1] == (0.0,) * 6
+
+
+def test_velocities_of_a_touch_are_taken_over_ten_calls(monkeypatch):
+    device, clock = OpenHaptics().install(monkeypatch), [10.0]
+    monkeypatch.setattr(openhaptics, "perf_counter", lambda: clock[0])
+    with OpenHapticsAdapter() as adapter:
+        device.step()
+        assert adapter.poll().velocity_m_s == (0.0, 0.0, 0.0)
+        for _ in range(20):
+            clock[0] += 1e-3
+            device.position_mm = device.position_mm + np.array([0.1, 0.0, -0.2])
+            device.rotation = Rotation.from_rotvec([0.0, 0.002, 0.0]) * device.rotation
+            device.step()
+        sample = adapter.poll()
+    assert sample.velocity_m_s == pytest.approx((0.1, 0.0, -0.2), abs=1e-12)
+    assert sample.spin_rad_s == pytest.approx((0.0, 2.0, 0.0), abs=1e-9)
+
+
+def test_a_force_that_is_not_pushed_again_ends(monkeypatch):
+    device, clock = OpenHaptics().install(monkeypatch), [10.0]
+    monkeypatch.setattr(openhaptics, "perf_counter", lambda: clock[0])
+    with OpenHapticsAdapter() as adapter:
+        adapter.push(FORCE, TORQUE)
+        for later in (0.5 * HELD_S, 0.99 * HELD_S, 1.01 * HELD_S):
+            clock[0] = 10.0 + later
+            device.step()
+    assert device.forces == [tuple(FORCE), tuple(FORCE), (0.0, 0.0, 0.0)]
+
+
+def test_a_touch_that_fails_is_lost_and_not_called_again(monkeypatch):
+    device = OpenHaptics().install(monkeypatch)
+    with OpenHapticsAdapter() as adapter:
+        monkeypatch.setattr(device, "position_mm", None)
+        device.step()
+        with pytest.raises(DeviceError, match=r"the device must answer, got AttributeError \(.*: check its cable"):
+            adapter.poll()
+    assert device.calls[-2:] == ["stop", "close 0"]
+    adapter._serve()  # one more call of a thread that ends late
+    assert device.forces == []
+
+
+@pytest.mark.parametrize("number", [None, 0xFFFFFFFF, 0x0104])
+def test_a_touch_that_is_not_there_is_refused(monkeypatch, number):
+    OpenHaptics(number=number).install(monkeypatch)
+    with pytest.raises(InputError, match="a device named right must be connected, got none: check cable"):
+        OpenHapticsAdapter(Hardware(address="right")).__enter__()
+    assert "a device named left must be connected" in OpenHapticsAdapter.find("left")[0].problem
+
+
+def test_a_scheduler_that_does_not_start_leaves_the_device_closed(monkeypatch):
+    device = OpenHaptics().install(monkeypatch)
+    monkeypatch.setattr("pyOpenHaptics.hd.start_scheduler", lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError), OpenHapticsAdapter():
+        pass
+    assert device.calls[-2:] == ["stop", "close 0"]
+
+
+def test_found_touch(monkeypatch):
+    device = OpenHaptics(number=3).install(monkeypatch)
+    (found,) = OpenHapticsAdapter.find()
+    assert (found.where, found.detail, found.problem) == ("Default Device", "3D Systems Touch", "")
+    assert device.calls == ["init Default Device", "close 3"]
+
+
+@pytest.mark.parametrize(
+    ("adapter", "package", "sentence"),
+    [
+        (
+            ForceDimensionAdapter,
+            "forcedimension_core",
+            r"forcedimension-core must be installed.*tissue-sim\[forcedimension\]",
+        ),
+        (OpenHapticsAdapter, "pyOpenHaptics", r"pyOpenHaptics must be installed.*tissue-sim\[openhaptics\].*3dsystems"),
+    ],
+)
+def test_a_package_that_is_missing_is_named_with_how_to_get_it(monkeypatch, adapter, package, sentence):
+    without(monkeypatch, package)
+    with pytest.raises(InputError, match=sentence), adapter():
+        pass
+    (found,) = adapter.find()
+    assert found.limits is None and found.problem.count(": ") >= 1
+    assert SigmaAdapter.find() == [] or package != "forcedimension_core"
+
+
+@pytest.mark.parametrize(
+    ("adapter", "package", "what"),
+    [(ForceDimensionAdapter, "forcedimension_core", "the SDK of forcedimension.com"), (OpenHapticsAdapter, "pyOpenHaptics", "OpenHaptics of 3dsystems.com")],
+)  # fmt: skip
+@pytest.mark.parametrize("error", [ImportError, OSError, NameError])
+def test_a_vendors_library_that_is_missing_is_named(monkeypatch, tmp_path, adapter, package, what, error):
+    """The package is there and cannot load what the vendor gives."""
+    without(monkeypatch, package)
+    monkeypatch.delitem(__import__("sys").modules, package)
+    (tmp_path / package).mkdir()
+    (tmp_path / package / "__init__.py").write_text(f"raise {error.__name__}('no library')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=f"{what} must be installed"), adapter():
+        pass
+
+
+def test_the_vendors_thread_and_the_loop_share_whole_samples(monkeypatch):
+    """Samples of a device that moves along one line while both threads run: none mixes two of them."""
+    device = OpenHaptics().install(monkeypatch)
+    with OpenHapticsAdapter() as adapter:
+        ends = threading.Event()
+
+        def serve():
+            for count in range(3000):
+                device.position_mm = np.full(3, float(count))
+                device.callback(None)
+            ends.set()
+
+        worker = threading.Thread(target=serve)
+        worker.start()
+        seen = 0
+        while not ends.is_set():
+            sample = adapter.poll()
+            if sample is not None:
+                x, y, z = sample.position_m
+                assert x == y == z
+                seen += 1
+            adapter.push(FORCE, NOTHING)
+            time.sleep(0)
+        worker.join()
+    assert seen > 1 and {*device.forces} <= {tuple(FORCE), (0.0, 0.0, 0.0)}

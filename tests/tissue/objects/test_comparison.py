@@ -1,0 +1,133 @@
+"""Runs beside each other: figures, what differs in their scenes, and their forces in one picture."""
+
+import csv
+
+import numpy as np
+import pytest
+from matplotlib import pyplot
+
+import tissue
+from tissue import InputError
+from tissue.objects.plots import overlay
+from tissue.simulation.trace import Table, TraceLayout
+
+
+@pytest.fixture(scope="module")
+def other(run, tmp_path_factory):
+    """The same block, cut faster in other voxels."""
+    scene = tissue.load_scene("milling", {"voxels.spacing_mm": 0.5, "duration_s": 0.3, "motion.feed_mm_s": 9.0})
+    made = tissue.simulate(scene)
+    made.save(tmp_path_factory.mktemp("runs") / "faster", pictures=False)
+    return made
+
+
+@pytest.fixture(autouse=True)
+def closed_figures():
+    """No figure of pyplot outlives its test."""
+    yield
+    pyplot.close("all")
+
+
+def test_figures_and_keys_that_differ(run, other):
+    found = tissue.compare(run, other.path)
+    assert list(found.runs) == ["milling", "faster"] and repr(found) == "<comparison of milling, faster: 2 keys differ>"
+    assert found.scene_differences == {"voxels.spacing_mm": (0.4, 0.5), "motion.feed_mm_s": (5.0, 9.0)}
+    table = found.to_pandas()
+    peaks = [each.summary["force_N"]["peak"] for each in (run, other)]
+    assert table.loc["peak_force_N"].to_list() == pytest.approx(
+        [*peaks, peaks[1] - peaks[0], peaks[1] / peaks[0] - 1.0]
+    )
+    assert list(table.columns) == ["milling", "faster", "faster - milling", "faster / milling - 1"]
+    assert table.attrs["scene_differences"] == found.scene_differences
+    html = found._repr_html_()
+    assert "peak_force_N" in html and "voxels.spacing_mm" in html and "keys of the scenes that differ" in html
+
+
+def test_equal_runs_differ_in_nothing(run, back):
+    found = tissue.compare(run, back)
+    assert list(found.runs) == ["milling 1", "milling 2"]
+    assert found.scene_differences == {} and found.lines()[0] == "the scenes are the same"
+    assert all(apart == 0.0 for _, (_, _, apart, _) in found.rows()[1])
+
+
+def test_what_cannot_be_compared_is_refused(run, tmp_path):
+    with pytest.raises(InputError, match="compare must be given two runs at least, got 1"):
+        tissue.compare(run)
+    with pytest.raises(InputError, match="names must be one for each of 2 runs, all different"):
+        tissue.compare(run, run, names=["a", "a"])
+    with pytest.raises(InputError, match="run must be a folder"):
+        tissue.compare(run, tmp_path)
+    with pytest.raises(InputError, match="over must be time or depth, got space"):
+        tissue.compare(run, run).plot("space")
+
+
+def test_runs_of_other_kinds_stopped_or_elsewhere_are_named(run, wall, monkeypatch):
+    monkeypatch.setattr(wall, "_compute", "cuda:0")
+    found = tissue.compare(run, wall, names=["bone", "wall"])
+    assert found.notes == [
+        "the path of bone is not finished: the run ends at 0.3 s, the motion at 8.09 s; set duration_s = 8.09 or leave "
+        "it out to see all of it",
+        "the path of wall is not finished: the run ends at 0.2 s, the motion at 1.5 s; set duration_s = 1.5 or leave "
+        "it out to see all of it",
+        "simulated time differs, so that peaks, means and volumes are of runs of different lengths: bone 0.3 s, "
+        "wall 0.2 s",
+        "the runs are of different scenes: bone milling, wall wall",
+        "compute device differs: bone cpu, wall cuda:0",
+    ]
+    assert found.scene_differences["tool.kind"] == ("ball-burr", "sphere-probe")
+    assert found.scene_differences["voxels.spacing_mm"] == (0.4, None)
+    peak, removed = (dict(found.rows()[1])[name] for name in ("peak_force_N", "removed_mm3"))
+    assert None not in peak and removed[1:] == [None, None, None]
+    assert found.plot().shape == (3,)
+
+
+def pressing(force_N, *, speed_mm_s):
+    """A trace of a tool that goes down and meets a force that depends on its depth alone."""
+    layout = TraceLayout.of(("bone",))
+    time = np.arange(0.0, 0.4, 1e-3)
+    rows = np.zeros((len(time), len(layout.columns)))
+    depth = speed_mm_s * time - 0.2
+    rows[:, layout.time], rows[:, layout.tip.start + 2] = time, -depth
+    rows[:, layout.quaternion.stop - 1] = 1.0
+    rows[:, layout.contact] = depth > 0.0
+    rows[:, layout.wrench.start + 2] = np.where(depth > 0.0, force_N * depth, 0.0)
+    return Table(layout.columns, rows, ("bone",))
+
+
+def test_over_depth_the_pace_does_not_count():
+    """A force in proportion to depth, gone through at two paces, and one that is 1.5 times as great."""
+    slow, fast, hard = pressing(3.0, speed_mm_s=4.0), pressing(3.0, speed_mm_s=6.0), pressing(4.5, speed_mm_s=4.0)
+    apart = [line.get_xydata() for line in overlay({"slow": slow, "fast": fast, "hard": hard}, over="depth")[2].lines]
+    assert apart[0][:, 1].max() < 0.03  # a tick of the depth between the first rows in contact
+    place, gap = apart[1].T
+    assert gap[-1] == pytest.approx(1.5 * place[-1], rel=0.02) and place[-1] > 1.0
+    assert overlay({"slow": slow, "fast": fast})[2].lines[0].get_ydata().max() > 1.0
+    with pytest.raises(
+        InputError, match="runs must touch the tissue to be drawn over depth, got above without contact"
+    ):
+        overlay({"above": pressing(3.0, speed_mm_s=0.1)}, over="depth")
+
+
+def test_files_are_written_once(run, other, tmp_path):
+    found = tissue.compare(run, other)
+    table, picture = found.save(tmp_path / "out", over="depth")
+    rows = list(csv.DictReader(table.open()))
+    assert float(next(row["faster"] for row in rows if row["figure"] == "removed_mm3")) == pytest.approx(
+        other.summary["removed_mm3"]["cortical"]
+    )
+    assert picture.stat().st_size > 20_000 and not pyplot.get_fignums()
+    with pytest.raises(InputError, match="out must not hold another comparison"):
+        found.save(tmp_path / "out")
+
+
+def test_the_command_prints_and_writes(run, other, command, tmp_path):
+    code, out, _ = command("compare", run.path, other.path, "--out", tmp_path / "out")
+    assert code == 0 and "peak_force_N" in out and "motion.feed_mm_s: milling 5.0, faster 9.0" in out
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        ".tissue.json",
+        "compare.csv",
+        "compare.png",
+    ]
+    assert command("compare", run.path)[0] == 2
+    code, _, err = command("compare", run.path, other.path, "--over", "depth")
+    assert code == 2 and "--over must be left out without --out" in err

@@ -1,0 +1,141 @@
+"""What runs, traces, scenes and materials show of themselves in a notebook, and the pictures they draw."""
+
+import io
+import re
+import sys
+import types
+
+import numpy as np
+import pytest
+
+import tissue
+from meshes.base.errors import InputError
+from tissue.objects.progress import reporting
+
+
+@pytest.fixture(autouse=True)
+def closed_figures():
+    """No figure of pyplot outlives its test."""
+    yield
+    from matplotlib import pyplot
+
+    pyplot.close("all")
+
+
+def test_a_run_shows_figures_and_its_force(run, back):
+    html = run._repr_html_()
+    assert html == back._repr_html_()
+    for words in ("run of milling", "removed cortical", "force, peak / mean in contact", "tick, median / 99 %", "<svg"):
+        assert words in html
+
+
+def test_what_is_shown_is_escaped(run):
+    scene = tissue.load_scene("milling").model_copy(update={"description": "<script>"})
+    assert "<script>" not in scene._repr_html_() and "&lt;script&gt;" in scene._repr_html_()
+    tissue.Run(run)  # a run of its own, for its notes are shared with the fixture's
+    run.parts.notes["mine"] = "<b>bold</b>"
+    assert "&lt;b&gt;bold" in run._repr_html_()
+    del run.parts.notes["mine"]
+
+
+def test_a_scene_shows_what_it_sets_and_folds_the_rest():
+    html = tissue.load_scene("milling", {"voxels.spacing_mm": 0.35})._repr_html_()
+    assert ">voxels.spacing_mm</td>" in html and ">0.35</td>" in html
+    assert html.count("<details>") > 4 and "margin_mm = 3.0" in html
+
+
+def test_a_material_shows_value_range_and_source():
+    found = tissue.material("enamel")
+    assert found["modulus_GPa"].value == 84.1 and "modulus_GPa 84.1" in repr(found)
+    html = found._repr_html_()
+    assert "PMC9914466" in html and "confidence" in html and ">high<" in html
+    table = found.to_pandas()
+    assert table.loc["modulus_GPa", "lowest"] == 70.0 and table.columns.name == "enamel"
+    assert {"enamel", "bone", "liver"} <= set(tissue.material_names())
+    with pytest.raises(InputError, match=r"material must be one of .*, got enamle \(did you mean enamel\?\): choose"):
+        tissue.material("enamle")
+
+
+def test_a_plot_has_a_panel_for_each_unit_and_marks_events(run):
+    panels = run.plot()
+    assert [each.get_ylabel() for each in panels] == ["model force / N", "model torque / N m"]
+    panels = run.plot(["removed_mm3", "contact_mm2", "removed_cortical_mm3"])
+    assert [len(each.lines) for each in panels] == [2, 1]
+    drawn = panels[0].lines[0].get_ydata()
+    assert np.array_equal(drawn, run.trace["removed_mm3"])
+    (alone,) = run.plot("contact_mm2", ax=panels[0])
+    assert alone is panels[0]
+    with pytest.raises(InputError, match="ax must take columns of one unit, got N, N m"):
+        run.plot(ax=alone)
+    with pytest.raises(InputError, match=r"columns must name .*, got force_w_N \(did you mean force_\w_N\?\)"):
+        run.plot(["force_w_N"])
+
+
+def test_events_stand_below_a_plot(run):
+    from tissue.objects.plots import plot_columns
+
+    panels = plot_columns(run.trace, [(0.1, "it touched"), (0.2, "it $left")], title="milling")
+    assert "it touched" in panels[0].figure.get_supxlabel() and len(panels[0].texts) == 2
+    panels[0].figure.savefig(io.BytesIO())
+
+
+def test_the_dataset_shows_bone_and_no_box(run):
+    image = run.dataset()
+    assert image.active_scalars_name == "layer"
+    surface = image.extract_surface(algorithm="dataset_surface")
+    solid = np.asarray(run.remaining) >= 128
+    assert solid.any() and not solid.all()
+    faces = sum(np.count_nonzero(np.diff(np.pad(solid, 1).astype(int), axis=axis)) for axis in range(3))
+    assert surface.n_cells == faces
+
+
+@pytest.mark.slow
+def test_show_draws_a_fresh_run_and_one_read_back(run, back, wall, tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    still, other = run.show(0.2), back.show(0.2)
+    assert np.array_equal(still.array, other.array) and still.array.std() > 10.0
+    assert still._repr_png_()[0].startswith(b"\x89PNG") and repr(still) == "<picture of 1400 x 950 pixels>"
+    assert wall.show(screenshot=tmp_path / "wall.png").save(tmp_path / "again.png").is_file()
+    assert (tmp_path / "wall.png").read_bytes() == (tmp_path / "again.png").read_bytes()
+    with pytest.raises(InputError, match="view must have a display to open a window"):
+        run.show(interactive=True)
+    with pytest.raises(InputError, match="screenshot must be left out with interactive"):
+        run.show(interactive=True, screenshot=tmp_path / "x.png")
+
+
+def test_a_begun_folder_outlives_a_picture(tmp_path):
+    """A run that streams into its folder is still saved there after it was written elsewhere."""
+    run = tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.05}), out=tmp_path / "wall")
+    super(tissue.Run, run).save(tmp_path / "shown", pictures=False)
+    run.save(tmp_path / "wall", pictures=False)
+    assert tissue.open_run(tmp_path / "wall").status == "complete"
+
+
+def test_progress_goes_where_it_is_asked_for(capfd):
+    heard = []
+    with reporting(lambda doing, share: heard.append((doing, share))) as report:
+        report("cutting", 0.5)
+    for silent in (None, False, True):  # the last one, for standard error is no terminal here
+        with reporting(silent) as report:
+            report("cutting", 0.5)
+    assert heard == [("cutting", 0.5)] and capfd.readouterr() == ("", "")
+
+
+def test_a_notebook_has_a_bar_of_html(monkeypatch):
+    shown = []
+
+    class Handle:
+        def update(self, what):
+            shown.append(what)
+
+    shell = types.SimpleNamespace(kernel=object())
+    display = types.SimpleNamespace(HTML=str, display=lambda what, display_id: Handle())
+    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: shell, display=display))
+    with reporting(None) as report:
+        report("cutting <bone>", 0.25)
+        report("too soon", 0.26)
+    assert re.fullmatch(r'<progress value="0.250"></progress> cutting &lt;bone&gt;, \d+ s', shown[0])
+    assert shown[1:] == [""]
+    with reporting(False) as report:
+        report("cutting", 0.5)
+    assert len(shown) == 2

@@ -1,0 +1,121 @@
+"""The section through a run's deepest point and the force over depth, and what goes into them."""
+
+import numpy as np
+import pytest
+from fake_fields import block_series, with_measures
+
+from tissue import load_scene, simulate
+from tissue.fem.fields import Frame
+from tissue.show.figures.force_depth import first_descent, layers_passed
+from tissue.show.figures.force_time import event_lines
+from tissue.show.figures.pictures import draw_pictures
+from tissue.show.figures.section import loaded_frame, moment_of, section_of
+
+pytest.importorskip("pyvista")
+
+SPACING_MM = 0.4
+
+
+@pytest.fixture(scope="module")
+def run():
+    """A coarse drilling into bone of three layers."""
+    changes = {"voxels.spacing_mm": SPACING_MM, "motion.feed_mm_s": 5.0, "duration_s": 0.6}
+    return simulate(load_scene("glenoid", changes))
+
+
+def test_section_holds_the_voxels_at_the_deepest_point(run):
+    last = len(run.trace.rows) - 1
+    section = section_of(run, axis=2, outward=1, row=last)
+    volume = run.parts.volume
+    assert sorted((section.across, section.axis, section.normal)) == [0, 1, 2] and section.row == last
+    deepest = run.trace["tool_z_mm"].argmin()
+    assert section.place_mm == run.trace[f"tool_{'xyz'[section.normal]}_mm"][deepest]
+    index = int((section.place_mm * 1e-3 - volume.origin_m[section.normal]) / volume.spacing_m)
+    np.testing.assert_array_equal(section.layer, np.take(volume.layer, index, axis=section.normal))
+    removed = np.take(volume.fraction - run.remaining, index, axis=section.normal) / 255
+    np.testing.assert_allclose(section.start - section.left, removed, atol=1e-12)
+    assert removed.sum() > 10.0
+    u0, u1, v0, v1 = section.extent_mm
+    assert section.start.shape == (round((u1 - u0) / SPACING_MM), round((v1 - v0) / SPACING_MM))
+
+
+def test_a_section_shows_one_moment(run):
+    row, frame = moment_of(run)
+    assert frame is None and run.trace["contact_mm2"][row] > 0.0 and not run.trace["contact_mm2"][row + 1 :].any()
+    # With fields it is the time of the last one under load: the bone is that of a run stopped there.
+    row = 350
+    section = section_of(run, axis=2, outward=1, row=row)
+    changes = {"voxels.spacing_mm": SPACING_MM, "motion.feed_mm_s": 5.0, "duration_s": 1e-3 * (row + 1)}
+    stopped = section_of(simulate(load_scene("glenoid", changes)), axis=2, outward=1, row=row)
+    np.testing.assert_array_equal(section.left, stopped.left)
+    assert section.left.sum() > section_of(run, axis=2, outward=1, row=599).left.sum() + 1.0
+    assert (section.place_mm, section.across) == (stopped.place_mm, stopped.across)
+
+
+def test_the_moment_of_a_section_is_that_of_its_stress(run):
+    loaded = with_measures(run)
+    row, frame = moment_of(loaded)
+    assert frame is loaded_frame(loaded.parts.tissue.fields)
+    assert loaded.trace["time_s"][row] == pytest.approx(frame.time_s)
+
+
+def test_descent_ends_where_the_tool_is_deepest_before_it_rises():
+    down = np.linspace(1.0, -2.0, 301)
+    shaken = down + 0.05 * np.sin(np.arange(301))
+    for descent in (down, shaken):
+        path = np.concatenate(
+            [descent, np.full(50, descent[-1]), np.linspace(descent[-1], 0.0, 100), np.linspace(0.0, -5.0, 100)]
+        )
+        rows = first_descent(path, path < 0.5)
+        assert path[rows.start] == pytest.approx(path[np.argmax(path < 0.5)] + 0.2, abs=0.1)
+        assert path[rows.stop - 1] == descent.min()
+        assert rows.stop <= 351
+    assert first_descent(down, np.zeros(301, dtype=bool)) == slice(0, 0)
+    assert first_descent(down, np.ones(301, dtype=bool)) == slice(0, 301)
+
+
+def test_layers_passed_are_those_of_the_voxels_before_the_run(run):
+    volume = run.parts.volume
+    i, j = np.unravel_index((volume.fraction >= 128).sum(axis=2).argmax(), volume.shape[:2])
+    filled = np.flatnonzero(volume.fraction[i, j] >= 128)
+    centres = 1e3 * (volume.origin_m + volume.spacing_m * (np.array([[i, j, n] for n in filled]) + 0.5))
+    named = [volume.layer_names[n] for n in volume.layer[i, j, filled]]
+    assert layers_passed(run, centres).tolist() == named
+    assert len(set(named)) > 1
+    assert layers_passed(run, centres[:1] + np.array([0.0, 0.0, 1e3])).tolist() == ["none"]
+
+
+def test_the_frame_that_is_shown_bears_load():
+    series = block_series((0.0, 0.0, 0.0), (1e-3, 1e-3, 1e-3), (2, 2, 2))
+    assert loaded_frame(series) is series.frames[-1]
+    series.frames.append(Frame(0.3, {}, {"von_mises_MPa": np.full(8, 1e-3, np.float32)}))
+    assert loaded_frame(series) is series.frames[-2]
+    series.frames[:] = [Frame(0.0, {}, {"von_mises_MPa": np.zeros(8, np.float32)}), Frame(0.1, {}, {})]
+    assert loaded_frame(series) is None
+
+
+def test_events_are_numbered_and_not_too_many():
+    assert event_lines([(0.5, "a"), (1.25, "b")]) == ["1   0.500 s: a", "2   1.250 s: b"]
+    assert event_lines([(0.1 * i, "it") for i in range(9)])[-1] == "and 3 more"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fields", [True, False])
+def test_a_tissue_with_measures_gets_its_pictures(run, tmp_path, monkeypatch, fields):
+    from PIL import Image
+
+    monkeypatch.setattr("tissue.show.figures.bone_pictures.draw_before_after", lambda *_: None)
+    assert draw_pictures(with_measures(run, fields=fields), tmp_path) == []
+    for name in ("section.png", "force_depth.png", "force_torque.png"):
+        with Image.open(tmp_path / name) as picture:
+            assert picture.width == 1600 and 500 < picture.height < 1900, name
+            pixels = np.asarray(picture.convert("RGB"), dtype=float)
+        assert pixels.std() > 15.0, name
+        assert len(np.unique(pixels.reshape(-1, 3)[::97], axis=0)) > 30, name
+
+
+def test_a_tool_that_never_touches_has_no_force_over_depth(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("tissue.show.figures.bone_pictures.draw_before_after", lambda *_: None)
+    still = with_measures(run, fields=False)
+    still.trace.rows[:, still.trace.columns.index("contact_mm2")] = 0.0
+    assert draw_pictures(still, tmp_path) == ["force_depth.png was not drawn: the tool did not go down into the tissue"]

@@ -1,0 +1,127 @@
+"""Rules that pictures keep: no stripes of what flickers, a camera that sees the cavity, words and vectors in SVG."""
+
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import tissue
+from meshes.base.errors import InputError
+from tissue.show.figures.bone_pictures import _View, shown_mm
+from tissue.show.figures.figure import figure, save
+from tissue.show.figures.force_time import _compressed, draw_force_torque, joined_events, spells
+from tissue.simulation.depth_map import depth_map
+from tissue.simulation.run_folder import picture_format
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def test_a_contact_that_flickers_is_one_band():
+    names = np.repeat(["none", "in", "none", "in", "none", "in", "none"], [50, 2, 3, 4, 1, 200, 40])
+    assert spells(names, shortest=20) == [(0, 60, "none"), (60, 260, "in"), (260, 300, "none")]
+    assert len(spells(names)) == 7
+    starts = np.repeat(["in", "none", "in"], [3, 30, 30])
+    assert spells(starts, shortest=20) == [(0, 33, "none"), (33, 63, "in")]
+    assert spells(names[:0], shortest=20) == []
+
+
+def test_compressed_spans_close_by_are_one_and_none_is_lost():
+    saturated = np.repeat([False, True, False, True, False, True], [30, 2, 5, 3, 60, 1])
+    assert _compressed(saturated) == [(30, 40), (100, 101)]
+
+
+def test_an_event_that_comes_again_at_once_is_marked_once():
+    events = [(0.1, "pressed 1 mm"), (0.11, "pressed 2 mm"), (0.125, "pressed 3 mm"), (0.5, "pressed 3 mm"), (0.5, "b")]
+    assert joined_events(events) == [events[0], events[3], events[4]]
+
+
+@pytest.fixture(scope="module")
+def molar():
+    """The drilling of a molar down to its deepest point, without stress, in coarse voxels."""
+    changes = {"voxels.spacing_mm": 0.2, "stress": None, "duration_s": 2.4}
+    return tissue.simulate(tissue.load_scene("molar", changes))
+
+
+def test_the_camera_sees_the_bottom_of_a_cavity(molar):
+    pyvista = pytest.importorskip("pyvista")
+    from tissue.simulation.bone_surface import bone_surface
+
+    depth = depth_map(molar)
+    view = _View.of(molar, depth)
+    assert view.plane is not None
+    surface = bone_surface(view.volume, view.remaining)
+    camera = view.camera(surface)
+    tips = molar.trace.vectors("tool", "mm")
+    bottom = tips[tips[:, 2].argmin()]
+    # From just above the bottom, behind the plane, nothing lies between it and the eye.
+    behind = bottom + np.eye(3)[view.plane[0]] * 0.2 + [0.0, 0.0, 0.3]
+    eye = behind + 100.0 * np.array(camera.towards_eye)
+    hits, _ = pyvista.PolyData(surface).ray_trace(behind, eye)
+    assert len(hits) == 0
+    from_above = np.array([0.0, -np.sin(np.radians(36.0)), np.cos(np.radians(36.0))])
+    whole = bone_surface(molar.volume, molar.remaining)
+    assert len(whole.ray_trace(behind, behind + 100.0 * from_above)[0]) > 0
+
+
+def test_a_small_cut_is_drawn_larger(molar):
+    depth = depth_map(molar)
+    u0, u1, v0, v1 = shown_mm(depth)
+    full = depth.extent_mm
+    assert full[0] < u0 < -0.5 and 0.5 < u1 < full[1] and full[2] < v0 < -0.5 and 0.5 < v1 < full[3]
+    wide = SimpleNamespace(extent_mm=(0.0, 10.0, 0.0, 5.0), depth_mm=np.ones((10, 5)))
+    assert shown_mm(wide) == wide.extent_mm
+
+
+def test_the_force_picture_names_every_line(molar, tmp_path):
+    file = tmp_path / "force.svg"
+    draw_force_torque(molar, file)
+    words = _words(file)
+    for text in (
+        "along x",
+        "along y",
+        "along z",
+        "thin: as the model gives it",
+        "force / N",
+        "time / s",
+        "tip in enamel",
+    ):
+        assert text in words, text
+    assert any(each.startswith("wide: as commanded") for each in words)
+    first = file.read_bytes()
+    draw_force_torque(molar, file)
+    assert file.read_bytes() == first
+
+
+@pytest.mark.slow
+def test_a_run_saves_pictures_in_vectors(molar, tmp_path):
+    run = tissue.Run(molar).save(tmp_path / "run", pictures="svg")
+    drawn = {each.name for each in (run / "pictures").iterdir()}
+    assert {"force_torque.svg", "removed_depth.svg"} <= drawn
+    assert all(name.endswith(".svg") for name in drawn)
+    assert "removed depth / mm" in _words(run / "pictures" / "removed_depth.svg")
+    again = tissue.open_run(run)
+    assert (again.save(tmp_path / "copy", pictures="svg") / "pictures" / "force_torque.svg").is_file()
+    with pytest.raises(InputError, match="pictures must be those that the folder has, got pdf"):
+        again.save(tmp_path / "other", pictures="pdf")
+
+
+def test_an_unknown_format_is_refused_before_anything_is_written(molar, tmp_path):
+    with pytest.raises(InputError, match=r"^pictures must be one of png, svg, pdf, got jpeg: choose one of these$"):
+        molar.save(tmp_path / "run", pictures="jpeg")
+    assert not (tmp_path / "run").exists()
+    assert (picture_format(True), picture_format(False), picture_format("pdf")) == ("png", None, "pdf")
+
+
+def test_pdf_is_the_same_for_the_same_figure(tmp_path):
+    files = [tmp_path / name for name in ("a.pdf", "b.pdf")]
+    for file in files:
+        chart = figure(2.0, 1.0)
+        chart.text(0.5, 0.5, "words")
+        save(chart, file)
+    assert files[0].read_bytes() == files[1].read_bytes() and files[0].read_bytes().startswith(b"%PDF")
+
+
+def _words(file):
+    """Texts of an SVG file."""
+    return {"".join(each.itertext()) for each in ElementTree.parse(file).getroot().iter(f"{SVG}text")}

@@ -1,0 +1,69 @@
+"""Arrays come back from their text as `decode.js` reads it, here in NumPy."""
+
+import zlib
+from base64 import b64decode
+
+import numpy as np
+import pytest
+
+from tissue.show.report.packing import packed, packed_column, packed_mesh, packed_shares, packed_vectors
+
+
+def unpacked(record):
+    kind = np.dtype(record["kind"])
+    count = record["rows"] * record["columns"]
+    planes = np.frombuffer(zlib.decompress(b64decode(record["data"])), np.uint8).reshape(kind.itemsize, count)
+    whole = np.ascontiguousarray(planes.T).view(f"<u{kind.itemsize}").reshape(record["columns"], record["rows"])
+    whole = whole.astype(np.int64)
+    if record["differences"]:
+        whole = np.cumsum((whole >> 1) ^ -(whole & 1), axis=1)
+    return whole.T.astype(kind)
+
+
+def numbers(record):
+    return np.array(record["low"]) + record["step"] * (unpacked(record).astype(float) + 32767)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.int32])
+@pytest.mark.parametrize("differences", [True, False])
+def test_whole_numbers_come_back_exactly(kind, differences):
+    ends = np.iinfo(kind)
+    rng = np.random.default_rng(4)
+    low = 0 if not differences else ends.min  # without differences only numbers from 0 on are kept
+    values = rng.integers(low, ends.max, (200, 3), endpoint=True).astype(kind)
+    values[:2] = [[low] * 3, [ends.max] * 3]
+    assert np.array_equal(unpacked(packed(values, differences=differences)), values)
+
+
+def test_numbers_come_back_within_half_a_step_and_zero_exactly():
+    rng = np.random.default_rng(5)
+    values = rng.normal(0.0, [1.0, 40.0, 1e-3], (500, 3))
+    values[7] = 0.0
+    record = packed_vectors(values)
+    back = numbers(record)
+    assert record["step"] < 1.001 * np.ptp(values, axis=0).max() / 65532
+    assert np.abs(back - values).max() <= 0.5001 * record["step"]
+    assert (back[7] == 0.0).all()
+
+
+@pytest.mark.parametrize("values", [np.zeros(0), np.full(4, 3.25), np.array([-2.0])])
+def test_columns_that_do_not_vary_come_back(values):
+    back = numbers(packed_column(values)).ravel()
+    assert back == pytest.approx(values, rel=1.6e-5)  # 1/65532
+
+
+def test_shares_are_clipped():
+    assert unpacked(packed_shares([-1.0, 0.0, 0.5, 1.0, 2.0, np.nan])).ravel().tolist() == [0, 0, 128, 255, 255, 0]
+
+
+def test_a_mesh_keeps_its_triangles_and_drops_points_that_none_has():
+    rng = np.random.default_rng(6)
+    points, triangles = rng.normal(size=(60, 3)), rng.integers(0, 40, (80, 3))
+    record, order = packed_mesh(points, triangles)
+    codes, unnamed, corners = unpacked(record["corners"]).ravel(), 0, []
+    for code in codes.tolist():
+        corners.append(unnamed - code)
+        unnamed += code == 0
+    assert np.array_equal(order[np.array(corners).reshape(-1, 3)], triangles)
+    assert sorted(order) == np.unique(triangles).tolist()
+    assert np.abs(numbers(record["points"]) - points[order]).max() <= record["points"]["step"]

@@ -1,0 +1,196 @@
+"""A report in headless Chromium without a network: it shows something, turns, plays, zooms, and complains of nothing."""
+
+import io
+import json
+import shutil
+import tomllib
+
+import numpy as np
+import pytest
+import tomli_w
+
+from tissue.objects.report import report
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+ARGUMENTS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]  # fmt: skip
+START_MS = 120_000
+"""How long a page may take to start where software draws it and other work goes on."""
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as player:
+        started = player.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def opened(browser, report_of):
+    """Open a report offline; at the end nothing may have been asked for, and no error shown."""
+    problems, contexts = [], []
+
+    def page_of(name, **options):
+        context = browser.new_context(offline=True, viewport={"width": 1200, "height": 1400}, **options)
+        contexts.append(context)
+        page = context.new_page()
+        file = report_of(name).as_uri()
+        page.on("console", lambda each: problems.append(each.text) if each.type == "error" else None)
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.on(
+            "request",
+            lambda asked: (
+                None if asked.url == file or asked.url.startswith(("data:", "blob:")) else problems.append(asked.url)
+            ),
+        )
+        page.goto(file)
+        page.wait_for_selector("#stage[data-ready]", timeout=START_MS)
+        return page
+
+    yield page_of
+    for context in contexts:
+        context.close()
+    assert not problems
+
+
+def pixels(page):
+    """The 3D view as it is once it no longer changes, shape (rows, columns, 3)."""
+    from PIL import Image
+
+    last = None
+    for _ in range(60):
+        page.wait_for_timeout(150)
+        shown = np.asarray(Image.open(io.BytesIO(page.locator("#stage").screenshot())).convert("RGB")).astype(int)
+        if last is not None and np.array_equal(shown, last):
+            return shown
+        last = shown
+    return last
+
+
+def changed(before, after):
+    """Share of the pixels that differ visibly."""
+    return float((np.abs(before - after).max(axis=2) > 12).mean())
+
+
+def seek(page, share):
+    page.locator("#time").evaluate(
+        "(slider, to) => { slider.value = to; slider.dispatchEvent(new Event('input')); }", 10000 * share
+    )
+
+
+def wait_for_slider(page, least):
+    """Wait until the slider has moved; the page's policy lets no test evaluate code in it again and again."""
+    for _ in range(START_MS // 50):
+        if int(page.locator("#time").input_value()) > least:
+            return
+        page.wait_for_timeout(50)
+    pytest.fail("the slider does not move")
+
+
+@pytest.mark.parametrize("name", ["milling", "palpation", "needle", "wall"])
+def test_a_report_shows_turns_and_plays(opened, name):
+    page = opened(name)
+    assert page.locator("#stage-problem").inner_text() == ""
+    first = pixels(page)
+    assert changed(first, np.broadcast_to(first[2, 2], first.shape)) > 0.02, "nothing is drawn"
+    box = page.locator("#stage").bounding_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 150, y + 40, steps=6)
+    page.mouse.up()
+    turned = pixels(page)
+    assert changed(first, turned) > 0.01, "it does not turn"
+    page.locator("#reset").click()
+    assert changed(first, pixels(page)) < 0.002, "reset does not bring the first view back"
+    seek(page, 0.0)
+    start = pixels(page)
+    seek(page, 1.0)
+    assert changed(start, pixels(page)) > 0.001, "the moments look alike"
+    seek(page, 0.0)
+    page.locator("#play").click()
+    wait_for_slider(page, 500)
+    page.locator("#play").click()
+    assert changed(start, pixels(page)) > 0.0005, "playing changes nothing"
+
+
+HOSTILE = (
+    "</script><script>window.hit = 1</script>",
+    "<img src=x onerror='window.hit = 1'>",
+    "</style><svg onload='window.hit = 1'>",
+    "javascript:window.hit = 1",
+    "<!--<script>",
+    "]]>'\"`${window.hit = 1}",
+)
+
+
+def test_hostile_texts_run_no_script(browser, run_folder, tmp_path):
+    """Texts of a run appear as text; a script that gets into the body all the same is refused by the policy."""
+    folder = tmp_path / "run"
+    shutil.copytree(run_folder("milling"), folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    nasty = " ".join(HOSTILE)
+    summary |= {"scene": nasty, "machine": nasty, "notes": dict.fromkeys(HOSTILE, nasty)}
+    summary["events"] = [{"time_s": 0.1, "what": each} for each in HOSTILE]
+    (folder / "summary.json").write_text(json.dumps(summary))
+    scene = tomllib.loads((folder / "scene.toml").read_text("utf-8")) | {"description": nasty}
+    (folder / "scene.toml").write_text(tomli_w.dumps(scene), "utf-8")
+    page = report(folder).read_text("utf-8")
+    injected = tmp_path / "injected.html"
+    injected.write_text(
+        page.replace("<h2>Events</h2>", "<script>window.hit = 1</script><img src=x onerror='window.hit=1'>")
+    )
+    for file, texts_shown in ((folder / "report.html", True), (injected, False)):
+        context = browser.new_context(offline=True)
+        tab = context.new_page()
+        tab.goto(file.as_uri())
+        tab.wait_for_selector("#stage[data-ready]", timeout=START_MS)
+        assert tab.evaluate("window.hit === undefined")
+        if texts_shown:
+            assert tab.locator("h1").inner_text() == nasty
+            assert tab.locator("img").count() == 0
+        context.close()
+
+
+def test_charts_zoom_and_go_to_moments(opened):
+    page = opened("needle")
+    chart = page.locator("#charts svg").first
+    ends = lambda: chart.locator("text[text-anchor=middle]").all_inner_texts()  # noqa: E731
+    whole = ends()
+    box = chart.bounding_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+    page.mouse.move(x, y)
+    page.mouse.wheel(0, -600)
+    page.wait_for_timeout(100)
+    assert ends() != whole
+    page.mouse.dblclick(x, y)
+    assert ends() == whole
+    page.mouse.move(x - 100, y)
+    page.mouse.down()
+    page.mouse.move(x + 100, y, steps=4)
+    page.mouse.up()
+    assert ends() != whole
+    page.locator("#all").click()
+    assert ends() == whole
+    before = page.locator("#time").input_value()
+    page.mouse.click(box["x"] + 0.25 * box["width"], y)
+    assert page.locator("#time").input_value() != before
+    event = page.locator("button[data-time]").first
+    event.click()
+    assert page.locator("#time-shown").inner_text() == event.inner_text()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_narrow_window_is_not_wider_than_itself(opened, scheme):
+    page = opened("milling", color_scheme=scheme)
+    page.set_viewport_size({"width": 390, "height": 800})
+    page.wait_for_timeout(300)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    corner = pixels(page)[2, 2].mean()
+    assert (corner < 80) == (scheme == "dark")

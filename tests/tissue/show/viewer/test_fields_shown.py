@@ -1,0 +1,152 @@
+"""Fields of a saved run on tetrahedra: names, scales over time, the mesh between two frames, values at a point."""
+
+import numpy as np
+import pytest
+from fake_fields import PARTS, block_series, depth_at, pressed_run, pressed_series
+from recording_plotter import RecordingPlotter
+
+from tissue import InputError
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.show.viewer.fields import FieldsShown
+from tissue.simulation.saved_fields import SavedFields, field_label, field_limits, field_names
+from tissue.simulation.series import write_fields
+
+ROUNDING = 1e-5
+"""Share by which single precision, in which fields are written, may be off."""
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory):
+    """Folder of a run that pressed a soft box by 6 mm within a second."""
+    return pressed_run(tmp_path_factory.mktemp("runs") / "press")
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [
+        ("von_mises_kPa", ("von Mises", "kPa")),
+        ("displacement_um", ("displacement", "µm")),
+        ("max_principal_strain_percent", ("max principal strain", "%")),
+        ("volume_strain", ("volume strain", "")),
+    ],
+)
+def test_a_field_is_named_with_its_unit(name, label):
+    assert field_label(name) == label
+
+
+def test_a_scale_spans_the_whole_run(pressed):
+    fields = SavedFields(pressed)
+    assert fields.names == [
+        "von_mises_kPa",
+        "principal_1_kPa",
+        "max_principal_strain_percent",
+        "displacement_mm",
+        "reaction_N",
+    ]
+    assert (fields.layer_names, fields.displacement, fields.unit_mm) == (PARTS, "displacement_mm", 1.0)
+    series = pressed_series()
+    low, high = fields.limits("von_mises_kPa")
+    peak = max(float(np.percentile(frame.cells["von_mises_kPa"], 99.8)) for frame in series.frames)
+    assert high == pytest.approx(peak, rel=ROUNDING) and 0.0 < low <= 0.1 * high
+    low, high = fields.limits("principal_1_kPa")
+    assert low == -high < 0.0
+    assert fields.limits("displacement_mm") == (0.0, pytest.approx(6.0, rel=ROUNDING))
+    assert fields.greatest_mm() == pytest.approx(6.0, rel=ROUNDING)
+
+
+def test_a_scale_of_nothing_still_has_a_length():
+    nothing = np.zeros(5, dtype=np.float32)
+    assert field_limits("von_mises_kPa", [nothing]) == (pytest.approx(1e-3), 1.0)
+    assert field_limits("displacement_mm", []) == (0.0, 1.0)
+    assert field_limits("principal_1_kPa", [np.array([np.nan, -2.0, 1.0], dtype=np.float32)])[1] == pytest.approx(
+        2.0, rel=0.01
+    )
+
+
+def test_between_two_frames_of_one_mesh_values_are_interpolated(pressed):
+    fields = SavedFields(pressed)
+    for time in (0.2, 0.35, 0.5, 0.62, 1.0):
+        mesh, shown = fields.at(time)
+        assert shown == pytest.approx(time)
+        # The box moves in proportion to the depth, which is linear in time between 0.2 and 1 s.
+        assert np.linalg.norm(fields.moved_mm(mesh), axis=1).max() == pytest.approx(depth_at(time, 1.0, 6.0), abs=1e-5)
+    # Asking for a moment leaves the frames as they were.
+    assert np.linalg.norm(fields.moved_mm(fields.frames[5]), axis=1).max() == pytest.approx(2.25, rel=ROUNDING)
+    assert fields.at(7.0)[1] == 1.0
+
+
+def test_where_cells_have_gone_the_earlier_frame_is_kept(tmp_path):
+    write_fields(block_series((-8e-3, -8e-3, -8e-3), (8e-3, 8e-3, 0.0), (4, 4, 3)), tmp_path)
+    fields = SavedFields(tmp_path)
+    mesh, shown = fields.at(0.2)
+    assert shown == 0.1 and mesh.n_cells == 4 * 4 * 3 - 1
+    assert fields.moved_mm(mesh).max() == pytest.approx(8e-3 * 0.1, rel=ROUNDING)  # µm
+
+
+def _affine(tmp_path, gradient):
+    """Fields of a box that is deformed alike everywhere, over one frame at rest and one deformed."""
+    series = pressed_series((4, 4, 2), frames=2)
+    still, last = series.frames
+    moved = (1e3 * series.nodes_m @ gradient.T).astype(np.float32)
+    frames = [
+        Frame(0.0, still.points | {"displacement_mm": 0.0 * moved}, still.cells),
+        Frame(1.0, last.points | {"displacement_mm": moved}, last.cells),
+    ]
+    write_fields(FieldSeries(series.nodes_m, series.cells, series.layer, series.layer_names, frames), tmp_path)
+    return SavedFields(tmp_path), frames[1]
+
+
+def test_a_point_is_read_by_the_cells_own_shape_functions(tmp_path):
+    random = np.random.default_rng(3)
+    gradient = 0.1 * random.normal(size=(3, 3))
+    fields, frame = _affine(tmp_path, gradient)
+    shown = FieldsShown(RecordingPlotter(), fields, scale=2.0)
+    shown.show("von_mises_kPa")
+    shown.at(1.0)
+    for place in random.uniform((-19.0, -19.0, -19.0), (19.0, 19.0, -1.0), (20, 3)):
+        found = shown.read(place)
+        # Linear tetrahedra hold an affine displacement exactly.
+        assert found.values["displacement_mm"] == pytest.approx(gradient @ place, abs=20.0 * ROUNDING)
+        assert found.place_mm == pytest.approx(place + 2.0 * gradient @ place, abs=40.0 * ROUNDING)
+        assert found.layer == PARTS[int(place[2] > -10.0)]
+        assert found.values["von_mises_kPa"] in frame.cells["von_mises_kPa"]
+    assert shown.read(np.array([0.0, 0.0, 5.0])) is None
+    shown.at(0.5)
+    assert shown.read(place).values["displacement_mm"] == pytest.approx(0.5 * gradient @ place, abs=20.0 * ROUNDING)
+
+
+def test_deformed_cut_and_without_a_part(tmp_path):
+    gradient = np.diag((0.0, 0.5, 0.0))
+    fields, _ = _affine(tmp_path, gradient)
+    plotter = RecordingPlotter()
+    shown = FieldsShown(plotter, fields)
+    shown.show("displacement_mm")
+    shown.at(1.0)
+    drawn = lambda: plotter.meshes["field"][0]  # noqa: E731
+    assert drawn().bounds[2:4] == pytest.approx((-30.0, 30.0), rel=ROUNDING)
+    shown.enlarge(2.0)
+    assert drawn().bounds[2:4] == pytest.approx((-40.0, 40.0), rel=ROUNDING)
+    shown.cut(((0.0, -1.0, 0.0), (0.0, 10.0, 0.0)))
+    assert drawn().bounds[2:4] == pytest.approx((10.0, 40.0), rel=ROUNDING)
+    shown.hide(frozenset({"capsule"}))
+    assert drawn().bounds[5] == pytest.approx(-10.0, rel=ROUNDING)
+    assert set(drawn().cell_data["layer"]) == {PARTS.index("parenchyma")}
+    shown.hide(frozenset(PARTS))
+    assert "field" not in plotter.meshes and not plotter.scalar_bars and shown.actor is None
+    shown.hide(frozenset())
+    shown.cut(None)
+    shown.enlarge(1.0)
+    assert drawn().bounds[2:4] == pytest.approx((-30.0, 30.0), rel=ROUNDING)
+
+
+def test_frames_that_are_missing_are_refused(pressed, tmp_path):
+    assert field_names(tmp_path) == []
+    index = tmp_path / "fields.pvd"
+    index.write_text((pressed / "fields.pvd").read_text())
+    with pytest.raises(InputError, match=r"got 11 missing, first .*frame_0000.vtu: run the scene again"):
+        field_names(tmp_path)
+    index.write_text("<VTKFile")
+    with pytest.raises(InputError, match=r"fields.pvd must be a ParaView collection"):
+        field_names(tmp_path)
+    index.write_text('<?xml version="1.0"?>\n<VTKFile type="Collection">\n<Collection>\n</Collection>\n</VTKFile>\n')
+    assert field_names(tmp_path) == []

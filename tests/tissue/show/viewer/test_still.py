@@ -1,0 +1,69 @@
+"""Still pictures of a window: clean for a page, or with a scale bar; bone without the steps of its voxels."""
+
+import numpy as np
+import pytest
+from fake_fields import pressed_run
+
+from tissue import InputError
+from tissue.show.viewer.saved_surfaces import bone_of
+from tissue.show.viewer.view import view
+from tissue.simulation.run_folder import SavedRun
+
+
+def _drawn(folder, file, **chosen):
+    """Pixels of a picture; skips the test where no OpenGL works."""
+    from PIL import Image
+
+    try:
+        view(folder, screenshot=file, **chosen)
+    except InputError as problem:
+        if "OpenGL" in str(problem):
+            pytest.skip(str(problem))
+        raise
+    with Image.open(file) as picture:
+        return np.asarray(picture)
+
+
+@pytest.mark.slow
+def test_a_clean_picture_shows_the_bone_alone(whole, tmp_path):
+    pixels = _drawn(whole, tmp_path / "clean.png", clean=True)
+    assert pixels.shape[2] == 4 and max(pixels.shape) > 1000
+    there = pixels[..., 3] > 0
+    assert not there[:4].any() and not there[-4:].any() and not there[:, :4].any() and not there[:, -4:].any()
+    # One thing: a row through it is there without a gap, and most of the picture is filled.
+    for line in (*there[:: len(there) // 9], *there.T[:: len(there.T) // 9]):
+        assert np.count_nonzero(np.diff(line.astype(int)) == 1) <= 1
+    assert there.mean() > 0.4
+    shown = pixels[there][:, :3].astype(int)
+    assert not (shown.max(axis=1) < 20).any()  # no black text
+
+
+@pytest.mark.slow
+def test_a_clean_picture_of_an_organ_has_the_colours_of_its_field(tmp_path):
+    folder = pressed_run(tmp_path / "press")
+    pixels = _drawn(folder, tmp_path / "clean.png", clean=True)
+    there = pixels[..., 3] > 250
+    light = pixels[there][:, :3].max(axis=1)
+    assert np.median(light) > 120 and len(np.unique(pixels[there][::97], axis=0)) > 100
+
+
+def test_clean_needs_a_screenshot(whole):
+    with pytest.raises(
+        InputError, match=r"^clean must come with a screenshot, got none: pass --screenshot FILE.png, or"
+    ):
+        view(whole, clean=True)
+
+
+@pytest.mark.slow
+def test_a_screenshot_has_a_scale_bar(whole, tmp_path):
+    pixels = _drawn(whole, tmp_path / "view.png")[..., :3].astype(int)
+    rows = pixels[560:580, 30:300].max(axis=2) < 60  # 380 pixels above the lower edge of 950
+    longest = max(np.count_nonzero(row) for row in rows)
+    assert 60 < longest < 215
+
+
+def test_bone_is_shaded_by_its_shape_not_by_its_voxels(whole):
+    saved = SavedRun(whole)
+    bone = bone_of(saved, saved.scene)
+    for surface in (bone.rest(bone.layers), bone.cut(bone.layers)):
+        assert surface.point_data.active_normals_name == "Normals"

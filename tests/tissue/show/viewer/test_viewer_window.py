@@ -1,0 +1,234 @@
+"""`tissue view` of a soft organ: the window under a virtual display, driven as by a hand, and pictures without one."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_fields import pressed_run, pressed_series
+
+from tissue import InputError, load_scene
+from tissue.scene.tool import Needle, Probe
+from tissue.show.figures.faces import faces_of
+from tissue.show.figures.figure import field_colours
+from tissue.show.figures.organ_pictures import draw_press
+from tissue.show.figures.tool_mesh import tool_surface
+from tissue.show.viewer.view import view
+from tissue.simulation.run_folder import SavedRun
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory):
+    """Folder of a run that pressed a soft box by 6 mm within a second."""
+    return pressed_run(tmp_path_factory.mktemp("runs") / "press")
+
+
+@pytest.fixture(scope="module")
+def driven(pressed, drive, tmp_path_factory):
+    """What came of driving the window, and the folder of its pictures."""
+    out = tmp_path_factory.mktemp("window")
+    return drive("window_driver.py", pressed, out), out
+
+
+def read_mm(text):
+    """Displacement that the window shows of the marked point [mm]."""
+    line = next(line for line in text.splitlines() if line.startswith("displacement: "))
+    return float(line.split()[1])
+
+
+def test_a_click_reads_the_material_under_it(driven):
+    found, _ = driven
+    x, y, z = found["clicked"]["reference_mm"]
+    assert (x, y, z) == pytest.approx((0.0, -8.0, 0.0), abs=1.0)
+    # Boussinesq's face under a point 6 mm above it, and 3/4 of its depth at 0.5 s and 3/8 of the time behind.
+    expected = 6.0 * 6.0 / np.hypot(np.hypot(x, y), 6.0)
+    assert read_mm(found["clicked"]["text"]) == pytest.approx(expected, rel=0.03)  # error of linear cells of 2.5 mm
+    assert read_mm(found["earlier"]) == pytest.approx(0.375 * expected, rel=0.03)
+    assert found["clicked"]["text"].startswith("capsule at (")
+    assert "von Mises: " in found["clicked"]["text"] and "kPa" in found["clicked"]["text"]
+    assert found["camera_kept"] and found["missed"] == found["clicked"]["reference_mm"]
+    # Drawn twice its size, the mark lies twice as deep.
+    assert found["enlarged_mm"][2] == pytest.approx(-2.0 * read_mm(found["clicked"]["text"]), rel=0.01)
+
+
+def test_fields_are_switched_by_key_and_by_click(driven):
+    found, _ = driven
+    assert found["after_m"] == "principal_1_kPa"
+    assert found["listed"] == [
+        "von_mises_kPa",
+        "principal_1_kPa",
+        "max_principal_strain_percent",
+        "displacement_mm",
+        "reaction_N",
+    ]
+
+
+def test_the_clip_plane_is_switched_pushed_and_turned(driven):
+    found, _ = driven
+    assert found["clipped"][2] == pytest.approx(0.0, abs=1e-3)
+    diagonal = np.linalg.norm((40.0, 40.0, 20.0))
+    assert found["pushed"][2] == pytest.approx(3 * 0.02 * diagonal, rel=1e-3)
+    assert found["back"][2] == pytest.approx(2 * 0.02 * diagonal, rel=1e-3)
+    normal, origin = map(np.array, found["turned"])
+    assert 0.05 < abs(normal[0]) < 0.9 and origin[1] == pytest.approx(2 * 0.02 * diagonal, rel=1e-3)
+    slid = np.array(found["slid"][1])
+    assert slid[2] < origin[2] - 1.0 and (slid - origin) @ normal == pytest.approx(0.0, abs=1e-6)
+    assert found["closed"][2] == pytest.approx(-20.0, abs=0.1)
+
+
+def test_a_part_is_switched_off_on_the_field_too(driven):
+    before, after, hidden = driven[0]["hidden"]
+    assert hidden == ["capsule"]
+    assert after == pytest.approx(before * 7 / 8)  # one layer of eight is the capsule
+
+
+def test_time_plays_pauses_and_ends(driven):
+    found, _ = driven
+    assert found["playing"] and 0.5 < found["played_to"] < 1.0
+    assert found["paused_at"] == found["played_to"]
+    assert found["button"] == [True, False]
+    assert found["end"] == [1.0, False]
+
+
+def test_the_window_shows_it(driven):
+    from PIL import Image
+
+    pictures = {}
+    for file in driven[1].iterdir():
+        with Image.open(file) as picture:
+            pictures[file.stem] = np.asarray(picture.convert("RGB"), dtype=int)
+    body = (slice(150, 600), slice(250, 1150))
+    for name in ("picked", "clipped", "hidden", "end"):
+        assert (np.abs(pictures[name] - pictures["start"])[body].max(axis=2) > 30).mean() > 5e-4, name
+
+
+def _drawn(folder, **options):
+    """What `view` prints; skips the test where no OpenGL works."""
+    try:
+        return view(folder, **options)
+    except InputError as problem:
+        if "OpenGL" in str(problem):
+            pytest.skip(str(problem))
+        raise
+
+
+def _read_by_the_scale(file):
+    """Place on a displacement's scale, 0 to 1, of every pixel of a clean picture, its error [degree] and its shade.
+
+    The place is that of the nearest hue and saturation, whatever the light: the direction in red, green and blue.
+    """
+    import matplotlib
+    from PIL import Image
+
+    with Image.open(file) as picture:
+        pixels = np.asarray(picture)
+    seen = pixels[pixels[..., 3] == 255][::7, :3] / 255.0
+    scale = matplotlib.colormaps[field_colours(0.0, 1.0)](np.linspace(0.0, 1.0, 256))[:, :3]
+    length, length_there = (np.linalg.norm(colours, axis=1) for colours in (seen, scale))
+    match = (seen @ (scale / length_there[:, None]).T) / length[:, None]
+    place = match.argmax(axis=1)
+    error = np.degrees(np.arccos(np.minimum(match.max(axis=1), 1.0)))
+    return place / 255.0, error, length / length_there[place]
+
+
+@pytest.mark.slow
+def test_a_screenshot_shows_the_field_at_a_time_and_scale(pressed, tmp_path):
+    greatest = []
+    for index, options in enumerate(({"time_s": 0.1}, {"scale": 1.5})):
+        file = tmp_path / f"{index}.png"
+        report = _drawn(pressed, screenshot=file, field="displacement_mm", clean=True, **options)
+        assert report.endswith(f"screenshot in {file}")
+        place, error, shade = _read_by_the_scale(file)
+        # Colours are those of the scale, however a face is lit: 8 bits are 1 degree in its darkest ones.
+        assert error.max() < 2.0
+        assert shade.min() > 0.85 and shade.max() < 1.05
+        greatest.append(np.quantile(place, 0.999))
+    # Before contact nothing has moved; without a time it is the moment of the greatest force, which ends the scale.
+    assert greatest[0] < 0.05 and greatest[1] > 0.95
+
+
+@pytest.mark.slow
+def test_a_movie_is_drawn_without_a_display(pressed, tmp_path, monkeypatch):
+    from PIL import Image
+
+    monkeypatch.delenv("DISPLAY", raising=False)
+    file = tmp_path / "press.gif"
+    assert _drawn(pressed, movie=file).endswith(f"movie in {file}")
+    with Image.open(file) as movie:
+        assert (movie.n_frames, movie.size) == (81, (700, 475))
+        frames = []
+        for index in (0, 40, 80):
+            movie.seek(index)
+            frames.append(np.asarray(movie.convert("RGB"), dtype=int))
+    for early, late in pairwise(frames):
+        assert (np.abs(late - early)[50:320, 120:580].max(axis=2) > 30).mean() > 0.02
+
+
+@pytest.mark.slow
+def test_the_press_is_drawn_for_the_report(pressed, tmp_path):
+    from PIL import Image
+
+    trace = SavedRun(pressed).trace
+    file = tmp_path / "press.png"
+    note = draw_press(pressed_series(), trace, file, title="press", tool=tool_surface(Probe(kind="sphere-probe")))
+    if note is not None and "OpenGL" in note:
+        pytest.skip(note)
+    assert note is None
+    with Image.open(file) as picture:
+        assert len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3)[::53], axis=0)) > 200
+    still = pressed_series(frames=2)
+    still.frames.pop()
+    assert draw_press(still, trace, file, title="press") == "nothing has moved"
+
+
+@pytest.mark.parametrize(
+    ("tool", "box"),
+    [
+        (Probe(kind="sphere-probe", diameter_mm=10.0), (-5.0, 5.0, -5.0, 5.0, 0.0, 10.0)),
+        (Probe(kind="cylinder-probe", diameter_mm=8.0, length_mm=30.0), (-4.0, 4.0, -4.0, 4.0, 0.0, 30.0)),
+        (Needle(diameter_mm=2.0), (-1.0, 1.0, -1.0, 1.0, 0.0, 80.0)),
+    ],
+)
+def test_a_tool_has_its_tip_at_the_origin(tool, box):
+    pytest.importorskip("pyvista")
+    assert tuple(tool_surface(tool).bounds) == pytest.approx(box, abs=0.01)
+
+
+def test_a_shell_probe_keeps_the_origin_of_its_file(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    pyvista.Cube(center=(5.0, 0.0, 0.5)).save(tmp_path / "cube.stl")
+    tool = Probe(kind="shell-probe", file=str(tmp_path / "cube.stl"), scale_mm=10.0)
+    shell = tool_surface(tool)
+    assert tuple(shell.bounds) == pytest.approx((45.0, 55.0, -5.0, 5.0, 0.0, 10.0))
+    assert tool_surface(tool.model_copy(update={"file": str(tmp_path / "gone.stl")})) is None
+    assert tool_surface(None) is None
+
+
+@pytest.mark.parametrize(
+    ("options", "refused"),
+    [
+        ({"field": "heat"}, "field .*got heat"),
+        ({"hide": ("gum",)}, "hide .*got gum"),
+        ({"time_s": 9.0}, "time_s .*got 9: use 1$"),
+        ({"time_s": -1.0}, "time_s .*got -1: use 0$"),
+        ({"time_s": float("nan")}, "time_s .*got nan"),
+        ({"scale": -2.0}, "scale .*got -2"),
+        ({"scale": float("nan")}, "scale .*got nan"),
+        ({"movie": Path("press.webm")}, "movie .*got press.webm"),
+        ({"movie": Path("press.gif"), "time_s": 0.5}, "time_s must be left out with movie"),
+    ],
+)
+def test_what_a_run_does_not_have_is_refused(pressed, tmp_path, monkeypatch, options, refused):
+    monkeypatch.setattr("tissue.show.viewer.view.require_whole", lambda saved: None)  # it starts a process each time
+    with pytest.raises(InputError, match=refused):
+        view(pressed, screenshot=tmp_path / "view.png", **options)
+    assert not (tmp_path / "view.png").exists()
+
+
+def test_a_needle_goes_through_the_faces_of_its_scene():
+    pytest.importorskip("pyvista")
+    faces = faces_of(load_scene("needle", {"anatomy.membrane_depths_mm": {"vessel wall": 40.0}}))
+    assert {name: face.center[2] for name, face in faces.items()} == {"capsule": 0.0, "vessel wall": -40.0}
+    assert faces_of(load_scene("milling")) == {} == faces_of(None)

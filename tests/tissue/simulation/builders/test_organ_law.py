@@ -1,0 +1,112 @@
+"""Hyperelastic laws of a scene: what they are made of, what they are refused with, and runs of them."""
+
+import numpy as np
+import pytest
+
+from meshes.base.errors import InputError
+from tissue.materials.elasticity import lame
+from tissue.materials.hyperelasticity import Hyperelastic
+from tissue.scene.load import load_scene
+from tissue.scene.organ import Organ
+from tissue.simulation.builders.organ_law import law_of
+from tissue.simulation.simulate import simulate
+
+SMALL = {
+    "anatomy.size_mm": [50, 50, 30], "anatomy.edge_mm": 10.0, "anatomy.touch_edge_mm": 6.0,
+    "anatomy.nodule_diameter_mm": 0.0, "organ.parts": None, "organ.young_kPa": 5.0, "organ.young_end_kPa": None,
+    "organ.friction": 0.0, "organ.poisson_ratio": 0.45, "organ.interval_ms": 0.0, "organ.order": 1,
+}  # fmt: skip
+
+
+def pressed(depth_mm: float, **changes: object) -> dict[str, object]:
+    """A ball of 16 mm on a small slab, straight in."""
+    path = {"motion.points_mm": [[0, 0, 0.2], [0, 0, -depth_mm], [0, 0, -depth_mm - 0.01]], "motion.feed_mm_s": 10.0}
+    return SMALL | path | {f"organ.{name}": value for name, value in changes.items()}
+
+
+LAWS = {
+    "neo-hookean": ({}, lambda g, k: Hyperelastic.neo_hookean(g, bulk_Pa=k)),
+    "mooney-rivlin": ({"second_share": 0.25}, lambda g, k: Hyperelastic.mooney_rivlin(0.375 * g, 0.125 * g, bulk_Pa=k)),
+    "yeoh": (
+        {"square_ratio": 0.2, "cube_ratio": 0.1},
+        lambda g, k: Hyperelastic.yeoh(0.5 * g, 0.1 * g, 0.05 * g, bulk_Pa=k),
+    ),
+    "ogden": ({"exponent": 8.0}, lambda g, k: Hyperelastic(k, ((g, 8.0),))),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_has_the_small_strains_of_the_moduli(name):
+    changes, expected = LAWS[name]
+    table = lame(np.array([5e3, 10e3, 2.5e3]), 0.45)
+    law, factors = law_of(Organ(law=name, **changes), table)
+    shear, bulk = table[0, 1], table[0, 0] + 2.0 / 3.0 * table[0, 1]
+    assert law.shear_Pa == pytest.approx(shear)
+    assert law.bulk_Pa == pytest.approx(bulk)
+    stretch = np.diag([1.3, 0.9, 0.95])
+    assert law.stress(stretch) == pytest.approx(expected(shear, bulk).stress(stretch), rel=1e-12)
+    assert factors == pytest.approx([1.0, 2.0, 0.5])
+
+
+def test_the_linear_law_is_none():
+    assert law_of(Organ(), lame(np.array([5e3]), 0.45)) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"law": "yeoh"}, "organ.square_ratio must be given with organ.law = yeoh, got none"),
+        ({"law": "ogden", "exponent": 0.0}, "alpha of terms must not be 0"),
+        (
+            {"law": "neo-hookean", "viscous": True},
+            "organ.law and organ.viscous must be left out together, got neo-hookean and true",
+        ),
+        ({"law": "neo-hookean", "capsule": True}, "organ.law and organ.capsule must be left out together"),
+        ({"law": "neo-hookean", "gravity": True}, "organ.law and organ.gravity must be left out together"),
+        (
+            {"law": "neo-hookean", "path": "lazy"},
+            "organ.law and organ.path must be left out together, got neo-hookean and lazy",
+        ),
+        (
+            {"law": "neo-hookean", "fibre_direction": (1, 0, 0), "fibre_modulus_ratio": 2.0},
+            "organ.law and organ.fibre_direction must be left out together",
+        ),
+    ],
+)
+def test_what_a_law_cannot_have_is_refused(changes, sentence):
+    with pytest.raises(InputError, match=sentence):
+        law_of(Organ(**changes), lame(np.array([5e3]), 0.45))
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"organ.exponent": 8.0}, "organ.exponent must be left out with organ.law = linear"),
+        (
+            {"organ.law": "ogden", "organ.exponent": 8.0, "organ.second_share": 0.2},
+            "organ.second_share must be left out",
+        ),
+        ({"organ.law_interval_ms": 50.0}, "organ.law_interval_ms must be left out with organ.law = linear"),
+    ],
+)
+def test_keys_of_laws_are_refused_where_they_have_no_effect(changes, sentence):
+    with pytest.raises(InputError, match=sentence):
+        simulate(load_scene("palpation", pressed(1.0) | changes | {"duration_s": 0.01}), cores=1)
+
+
+def test_at_a_small_depth_a_law_gives_the_force_of_the_linear_one():
+    peaks = [
+        simulate(load_scene("palpation", pressed(0.1, **law)), cores=1).summary["force_N"]["peak"]
+        for law in ({}, {"law": "neo-hookean"})
+    ]
+    assert peaks[1] == pytest.approx(peaks[0], rel=0.01)
+
+
+def test_a_real_device_is_refused_and_a_simulated_one_is_not(monkeypatch):
+    """A simulated one waits for the law, as the run does."""
+    scene = load_scene("palpation", pressed(1.0, law="neo-hookean") | {"device": "touch"})
+    assert simulate(scene, cores=1).trace["force_z_N"].max() > 0.0
+    monkeypatch.setattr("tissue.simulation.builders.organ_law.opens_device", lambda _: True)
+    sentence = r"device and organ\.law must be left out together, got touch and neo.*solving the law takes longer"
+    with pytest.raises(InputError, match=sentence):
+        simulate(scene, cores=1)

@@ -1,0 +1,287 @@
+"""A bone of a CT as a scene: cropped, by label or threshold, with its density, its site and what is around it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from meshes.base.errors import InputError, names_of_caller
+from meshes.base.progress import Progress
+from meshes.ct.density import CT_DENSITY, DensityLaw
+from meshes.ct.extraction import BoneOfImage, by_label, by_threshold, cropped
+from meshes.ct.inspection import Histogram, Inspection, bone_label_note, histogram_of, inspect, suggest_threshold
+from meshes.ct.labels import Labels, on_grid_of
+from meshes.ct.laws import DENSITY_LAWS, density_law
+from meshes.images.frame import Image
+from meshes.surfaces.surface import Surface, surface_from_triangles
+from tissue.ct.draft import Draft, Writer, scene_tables, toml, write_density, write_labels, write_surface
+from tissue.ct.pictures import BonePictures
+from tissue.ct.placing import Placed, import_path, kept_clear, placed
+from tissue.ct.request import ImportRequest
+from tissue.scene.load import load_scene
+from tissue.scene.tool import Tool
+
+__all__ = ["bone_draft"]
+
+_SIDE_MM = (1.0, 1000.0)
+"""Longest side of a bone."""
+_KEPT = 0.01
+"""Difference of volume up to which a label's volume counts as kept."""
+SHOWN_MM = 15.0
+"""Width of the surroundings of a bone in pictures."""
+USUAL = {"glenoid": "glenoid", "vertebra": "pedicle", "vertebra:left": "pedicle", "vertebra:right": "pedicle"}
+"""Scene whose tool and motion are taken by default, by the kind of the site."""
+PLUNGE: Mapping[str, Mapping[str, object]] = {
+    "voxels": {"spacing_mm": 0.2},
+    "tool": {"kind": "ball-burr", "diameter_mm": 4.0, "flutes": 6, "spin_rpm": 20000.0},
+    "motion": {"kind": "path", "points_mm": [[0, 0, 3], [0, 0, -2]], "feed_mm_s": 1.0},
+}
+"""Default at other sites: a ball burr goes in 2 mm along the normal."""
+HOLE = ("guide_hole_diameter_mm", "guide_hole_depth_mm")
+HEAD = ("duration_s", "device", "hand", "renderer", "prediction", "perception", "seed")
+TABLES = ("voxels", "tool", "motion", "cutting", "output", "device", "fidelity")
+REMARKS = {
+    "file": "mm, in the frame of the image (LPS)",
+    "density_file": "apparent density, kg/m3",
+    "centre_mm": "the site, mm in the frame of the image (LPS); the motion is given from there",
+    "normal": "out of the bone: the site's z",
+    "along": "the site's x",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """Image and labels of a bone, cropped, and what was found in the whole image."""
+
+    image: Image
+    labels: Labels | None
+    inspection: Inspection
+    histogram: Histogram
+    law: DensityLaw | None
+
+
+def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
+    """Draft the scene of a bone."""
+    source, sentences = _source(request, progress)
+    progress("finding the bone", 0.0)
+    bone, threshold, found = _bone(request, source)
+    surface = _surface(bone, source.inspection.source)
+    sentences += [*found, *bone.notes, f"bone of {bone.volume_mm3 * 1e-3:.4g} ml, {len(surface.faces)} triangles"]
+    files: dict[str, Writer] = {"bone.ply": partial(write_surface, surface)}
+    tables: dict[str, Any] = {"kind": "bone", "file": "bone.ply"}
+    density = None
+    if source.law is not None:
+        progress("finding the density", 0.0)
+        density = bone.density(source.law)
+        certainty = _certainty(bone, density, source.law)
+        sentences.append(f"density by {certainty} ({source.law.source})")
+        files["density.nrrd"] = partial(write_density, density, law=certainty)
+        tables["density_file"] = "density.nrrd"
+    if source.labels is not None:
+        blank = replace(bone.image, values=np.zeros(bone.image.values.shape, np.uint8))
+        files["labels.seg.nrrd"] = partial(write_labels, on_grid_of(source.labels, blank))
+    clear, kept = kept_clear(request, source.labels, progress)
+    kept_files = {each: f"keep_clear_{each}.ply" for each in clear}
+    files |= {kept_files[each]: partial(write_surface, structure) for each, structure in clear.items()}
+    progress("finding the site", 0.0)
+    at, sentence = placed(request, surface)
+    sentences += [sentence, *kept]
+    path = import_path(request, at, surface)
+    pictures = BonePictures(source.inspection.source, bone, surface, clear, at, path)
+    if path is not None:
+        sentences.append(path.sentence)
+        files["path.csv"] = path.table.write
+    files["slices.png"] = partial(pictures.draw_slices, _around(source.image, surface))
+    files["histogram.png"] = partial(pictures.draw_histogram, source.histogram, threshold, source.law)
+    files["bone.png"] = partial(pictures.draw_bone, density)
+    if path is not None:
+        files["path.png"] = pictures.draw_path
+    scene = _scene_text(
+        {"name": name, "description": f"{request.region or 'bone'} of {source.inspection.source}"},
+        tables | {"scale_mm": 1.0},
+        at,
+        _followed(request.like, at, replay=path is not None),
+        {"keep_clear": {"files": kept_files}} if clear else {},
+    )
+    record = _record(source, at) | {"threshold": threshold, "bone_mm3": bone.volume_mm3}
+    return Draft(scene, record, files, sentences, has_site=at is not None)
+
+
+def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[str]]:
+    """Read and inspect the image and the labels, and calibrate the density."""
+    progress("reading the image", 0.0)
+    image = request.read_image()
+    found = inspect(image)
+    labels = None
+    if request.labels is not None:
+        progress("reading the labels", 0.0)
+        labels = request.read_labels(image)
+    sentences = [*image.notes, *found.sentences(), *(labels.image.notes if labels else ())]
+    progress("calibrating the density", 0.0)
+    law = _law(request.density.strip(), image, found)
+    if law is None:
+        sentences.append(
+            "density: unknown, for the values are not Hounsfield units; the bone gets a shell of even thickness. "
+            "Give --density line:SLOPE,OFFSET to use them"
+        )
+    histogram = histogram_of(image.values)
+    box = request.box_mm
+    if box is not None:
+        image = cropped(image, box)
+        labels = labels and Labels(cropped(labels.image, box), labels.names)
+    return _Source(image, labels, found, histogram, law), sentences
+
+
+def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
+    """Return the law that a request names, by default the first that the image allows; None where it allows none."""
+    is_auto = text == "auto"
+    if not found.is_hounsfield:
+        if is_auto:
+            return None
+        if text.lower() == "internal" or text.lower() in DENSITY_LAWS:
+            raise InputError(
+                "density",
+                "be line:SLOPE,OFFSET for an image that is not in Hounsfield units",
+                f"{text} for {found.source} with values from {found.lowest:g} to {found.highest:g}",
+                "give the line of your scanner, or leave it out",
+            )
+    try:
+        return density_law("internal" if is_auto else text, image)
+    except InputError as error:
+        if not is_auto:
+            raise
+        return replace(CT_DENSITY, source=f"{CT_DENSITY.source}; no calibration within the image: {error}")
+
+
+def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float | None, list[str]]:
+    """Take the bone out of the image; return it, its threshold where there is one, and sentences."""
+    if source.labels is None or request.region is None:
+        threshold, note = suggest_threshold(source.histogram, is_hounsfield=source.inspection.is_hounsfield)
+        if request.threshold is not None:
+            threshold = request.threshold
+            note = f"threshold {threshold:g}, as given"
+        return by_threshold(source.image, threshold), threshold, [note]
+    with names_of_caller({"label": "region"}):
+        mask = source.labels.mask(request.region)
+    sentences = []
+    if source.inspection.is_hounsfield and mask.any():
+        note = bone_label_note(source.image, mask, request.region)
+        sentences += [note] if note else []
+    bone = by_label(source.image, mask)
+    sentences.append(f"bone: label {request.region}, its steps smoothed{_kept_volume(bone)}")
+    return bone, None, sentences
+
+
+def _kept_volume(bone: BoneOfImage) -> str:
+    """Describe how the volume within the surface differs from that of the label."""
+    change = bone.volume_mm3 / bone.label_mm3 - 1.0
+    if abs(change) <= _KEPT:
+        return f" and its volume of {1e-3 * bone.label_mm3:.4g} ml kept to {_KEPT:.0%}"
+    more = "more" if change > 0.0 else "less"
+    return f"; the surface encloses {abs(change):.1%} {more} than the label's volume of {1e-3 * bone.label_mm3:.4g} ml"
+
+
+def _surface(bone: BoneOfImage, source: str) -> Surface:
+    """Return the triangles of a bone, closed and turned outward."""
+    vertices, faces = bone.triangles
+    longest = float(np.ptp(vertices, axis=0).max())
+    if not _SIDE_MM[0] <= longest <= _SIDE_MM[1]:
+        raise InputError(
+            "the bone",
+            f"be {_SIDE_MM[0]:g} to {_SIDE_MM[1]:g} mm long",
+            f"{longest:.4g} mm in {source}",
+            "check the spacing in the image's header",
+        )
+    surface = surface_from_triangles(vertices, faces, source="bone.ply", scale_mm=1.0, cut_off=True)
+    return replace(surface, caps_m=surface.caps_m + bone.cuts)
+
+
+def _around(image: Image, surface: Surface) -> Image:
+    """Return the part of an image around a surface."""
+    low = 1e3 * surface.vertices_m.min(axis=0) - SHOWN_MM
+    high = 1e3 * surface.vertices_m.max(axis=0) + SHOWN_MM
+    return cropped(image, (tuple(low.tolist()), tuple(high.tolist())))
+
+
+def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
+    """Describe the law of the density in short, with the band of the bone's median."""
+    held = density.values[bone.field > bone.level]  # the density continues beyond the surface
+    middle = float(np.median(held))
+    low, high = law.band(np.array([(middle - law.offset_kg_m3) / law.slope_kg_m3]))
+    return (
+        f"{law.name}: median {middle:.0f} kg/m3, 90 % between {low[0]:.0f} and {high[0]:.0f}; least {held.min():.0f}, "
+        f"greatest {held.max():.0f}"
+    )
+
+
+def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str, Any]:
+    """Return head and tables of the scene whose tool and motion are taken, with a guide hole under ``anatomy``."""
+    wanted = like or USUAL.get((at.kind if at else None) or "")
+    if wanted is None:
+        tables: dict[str, Any] = dict(PLUNGE)
+    else:
+        scene = load_scene(wanted)
+        if not isinstance(scene.tool, Tool):
+            raise InputError("like", "be a scene in which a tool cuts", like, "use milling or glenoid")
+        tables = scene_tables(scene, (*HEAD, *TABLES, "anatomy"))
+        tables["anatomy"] = {key: value for key, value in tables["anatomy"].items() if key in HOLE}
+    if replay:
+        tables["motion"] = {"kind": "replay", "file": "path.csv"}
+        tables.pop("duration_s", None)
+    return tables
+
+
+def _scene_text(
+    head: dict[str, Any],
+    anatomy: dict[str, Any],
+    at: Placed | None,
+    followed: dict[str, Any],
+    keep_clear: dict[str, Any],
+) -> str:
+    """Return TOML of the scene, with remarks on what users may want to change."""
+    head |= {key: followed.pop(key) for key in HEAD if key in followed}
+    if at is not None:
+        anatomy |= {
+            "centre_mm": [round(value, 3) for value in (1e3 * at.site.centre_m).tolist()],
+            "normal": [round(value, 6) for value in at.site.rotation[:, 2].tolist()],
+            "along": [round(value, 6) for value in at.site.rotation[:, 0].tolist()],
+        }
+        if "density_file" in anatomy and at.articular_radius_mm:
+            anatomy["articular_radius_mm"] = at.articular_radius_mm
+    anatomy |= followed.pop("anatomy", {})
+    lines = toml({"anatomy": anatomy}).splitlines()
+    for number, line in enumerate(lines):
+        remark = REMARKS.get(line.partition(" = ")[0])
+        if remark is not None:
+            lines[number] = f"{line}  # {remark}"
+    text = "\n".join([toml(head), *lines, "", toml(keep_clear | followed)])
+    if at is None:
+        return (
+            f"# No site yet: pick one by `tissue view` of this folder, or write anatomy.centre_mm and normal.\n{text}"
+        )
+    return text
+
+
+def _record(source: _Source, at: Placed | None) -> dict[str, Any]:
+    """Return what was found in the image, as plain numbers."""
+    found = source.inspection
+    site = None
+    if at is not None:
+        site = {
+            "kind": at.kind,
+            "centre_mm": (1e3 * at.site.centre_m).tolist(),
+            "rotation": at.site.rotation.tolist(),
+        }
+    return {
+        "source": found.source,
+        "voxels": list(found.shape),
+        "spacing_mm": list(found.spacing_mm),
+        "low_mm": list(found.low_mm),
+        "high_mm": list(found.high_mm),
+        "noise_HU": found.noise,
+        "metal_mm3": found.metal_mm3,
+        "density_law": None if source.law is None else source.law.as_dict(),
+        "site": site,
+    }

@@ -1,0 +1,131 @@
+"""Import of a CT: from an image to a folder with a scene."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from meshes.base.file_limits import memory_limit
+from meshes.base.progress import Progress, silent
+from tissue.ct.bone import bone_draft
+from tissue.ct.draft import RECORD, SCENE, scene_name
+from tissue.ct.labelled import organ_draft, tooth_draft
+from tissue.ct.request import ImportRequest
+from tissue.system.owned_folder import require_folder
+
+__all__ = ["Imported", "import_ct"]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Result of an import.
+
+    Attributes
+    ----------
+    folder
+        The folder that was written.
+    scene
+        File of the scene.
+    has_site
+        Whether the scene can be run as it is.
+    sentences
+        What was found and assumed.
+    """
+
+    folder: Path
+    scene: Path
+    has_site: bool
+    sentences: tuple[str, ...]
+
+
+def import_ct(
+    source: str | Path,
+    out: str | Path,
+    *,
+    max_memory_GB: float | None = None,
+    overwrite: bool = False,
+    pictures: bool = True,
+    progress: Progress = silent,
+    **options: Any,
+) -> Imported:
+    """Make a scene of a CT: a folder with a bone, its density, a site and pictures, with a tooth, or with a soft organ.
+
+    Parameters
+    ----------
+    source
+        DICOM folder or image file (``.nii.gz``, ``.nrrd``, ``.mha``, ``.vti``).
+    out
+        Folder to write; ``scene.toml`` in it can be loaded and simulated.
+    max_memory_GB
+        Memory that an image may take [GB]; default half of the free memory.
+    overwrite
+        Replace another import in the folder.
+    pictures
+        Whether pictures are drawn.
+    progress
+        Called with what is being done.
+    **options
+        The options below; None stands for the default.
+
+    Other Parameters
+    ----------------
+    labels : str or Path
+        Label volume of the same CT, or folder of masks, one a label.
+    label_names : str
+        ``totalsegmentator``, ``dentalsegmentator``, ``verse``, or a TOML file whose table ``[labels]`` gives each name
+        its number; default the names in the file's own header.
+    region : str
+        Label that is the bone or the organ.
+    crop_mm : pair of points
+        Lowest and highest corner of the box to keep [mm].
+    threshold : float
+        Value above which a voxel is bone, without labels; default suggested from the histogram.
+    series : int
+        Number of the series, of a folder that holds several.
+    spacing_mm : float
+        Distance between neighbours [mm] of files that do not state it, such as TIFF slices.
+    density : str
+        ``internal``, a named law, or ``line:SLOPE,OFFSET``, see `meshes.ct.laws.density_law`; default internal where
+        the image allows it.
+    site : str or point
+        ``glenoid``, ``femoral-head``, ``humeral-head``, ``vertebra`` (``:left``, ``:right``), ``tooth``,
+        ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups; default by the region's name.
+    normal : point
+        Outward direction at a site that is a point; default that of the surface.
+    coordinates : {"LPS", "RAS"}
+        Frame of crop, site, normal and path: that of DICOM (LPS) or of NIfTI and 3D Slicer's views (RAS).
+    path : str or Path
+        Toolpath in the frame of the image [mm]: CSV, markups curve or G-code, see
+        `meshes.paths.toolpath.read_toolpath`.
+    feed_mm_s : float
+        Speed where the path states none [mm/s]; default 2.
+    keep_clear : sequence of str
+        Labels that the tool must not touch.
+    like : str
+        Scene whose tool and motion are taken; default by the site.
+    parts : mapping of str to float
+        Labels in a soft organ that become parts of it, with their Young's moduli [kPa].
+
+    Raises
+    ------
+    InputError
+        If the image or an option cannot be used, or the folder holds another import.
+    """
+    folder = Path(out)
+    require_folder(folder, "import", (SCENE, RECORD), overwrite=overwrite)  # before minutes of reading
+    unknown = sorted(options.keys() - {each.name for each in fields(ImportRequest)})
+    if unknown:
+        raise TypeError(f"import_ct() got an unexpected keyword argument {unknown[0]!r}")
+    given = {name: value for name, value in options.items() if value is not None}
+    convert = {"labels": Path, "path": Path, "keep_clear": tuple, "parts": dict}
+    request = ImportRequest(
+        Path(source), **{name: convert[name](value) if name in convert else value for name, value in given.items()}
+    )
+    draft_of = bone_draft
+    if request.is_tooth:
+        draft_of = tooth_draft
+    elif request.is_soft:
+        draft_of = organ_draft
+    with memory_limit(max_memory_GB):
+        draft = draft_of(request, scene_name(folder), progress)
+        sentences = draft.write(folder, overwrite=overwrite, pictures=pictures, progress=progress)
+    return Imported(folder, folder / SCENE, draft.has_site, tuple(sentences))

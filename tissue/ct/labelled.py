@@ -1,0 +1,212 @@
+"""Teeth and soft organs of a segmentation as scenes: a tooth under a bur, tetrahedra with parts under a ball."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError, names_of_caller
+from meshes.base.progress import Progress
+from meshes.ct.extraction import cropped
+from meshes.ct.inspection import bone_label_note, inspect, soft_label_note
+from meshes.ct.labels import Labels, on_grid_of
+from meshes.images.frame import Image, box_of, part_of
+from meshes.organs.from_labels import organ_mesh
+from meshes.tets.tetrahedra import write_organ
+from meshes.tooth.layers import TOOTH_LAYERS
+from tissue.ct.draft import Draft, Writer, scene_tables, toml, write_labels
+from tissue.ct.request import ImportRequest
+from tissue.scene.load import load_scene
+from tissue.show.figures.ct_pictures import draw_ct_organ, draw_ct_slices
+
+__all__ = ["organ_draft", "tooth_draft"]
+
+LIKE = "caries"
+"""Scene whose tool and motion are taken for a tooth by default."""
+PARTS = ("voxels", "tool", "motion", "cutting", "output", "duration_s", "device")
+MARGIN = 3
+"""Voxels kept around the tooth."""
+FRONT = (0.0, -1.0, 0.0)
+"""Direction to the tool that presses an organ: the front, in LPS, of a patient who lies on the back."""
+BALL_MM = 12.0
+DEPTH_MM = 4.0
+FEED_MM_S = 5.0
+"""First press on an organ: within the depth at which linear elasticity is accurate to 5 %."""
+
+
+def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
+    """Draft the scene of a tooth."""
+    progress("reading the labels", 0.0)
+    labels = request.read_labels()
+    image = labels.image
+    sentences = list(image.notes)
+    if request.labels is not None and request.source.resolve() == request.labels.resolve():
+        if request.series is not None:
+            raise InputError("series", "be left out where the labels are the source", request.series, "leave it out")
+    else:
+        image = request.read_image()
+        with names_of_caller({"region": "labels"}):
+            note = _enamel_note(image, labels)
+        sentences = [*image.notes, *sentences, *note]
+    tooth = _tooth(labels)
+    middle, sentence = _site(tooth, at_lesion=request.site == "tooth:lesion")
+    sentences += [f"tooth: {', '.join(tooth.names.values())}", sentence]
+    scene = {
+        "name": name,
+        "description": f"tooth of {tooth.image.source}",
+        "anatomy": {
+            "kind": "molar",
+            "file": "tooth.seg.nrrd",
+            "site": "caries" if request.site == "tooth:lesion" else "enamel",
+        },
+        **scene_tables(load_scene(request.like or LIKE), PARTS),
+    }
+    voxel_mm3 = float(np.prod(tooth.image.spacing_mm))
+    record = {
+        "source": tooth.image.source,
+        "volume_mm3": {each: voxel_mm3 * int(tooth.mask(each).sum()) for each in tooth.names.values()},
+    }
+    files: dict[str, Writer] = {
+        "tooth.seg.nrrd": partial(write_labels, tooth),
+        "slices.png": partial(_draw_tooth, image, tooth, middle),
+    }
+    return Draft(toml(scene), record, files, sentences)
+
+
+def _enamel_note(image: Image, labels: Labels) -> list[str]:
+    """Return a warning if the enamel does not lie on bright voxels; raises for labels of another image."""
+    placed = on_grid_of(labels, image)
+    if "enamel" not in placed.names.values() or not inspect(image).is_hounsfield:
+        return []
+    note = bone_label_note(image, placed.mask("enamel"), "enamel")
+    return [note] if note else []
+
+
+def _tooth(labels: Labels) -> Labels:
+    """Return the layers of a tooth alone, cropped to them."""
+    layers = {number: name for number, name in labels.names.items() if name in TOOTH_LAYERS}
+    for name in ("enamel", "dentin"):
+        if name not in layers.values():
+            held = ", ".join(list(labels.names.values())[:12])
+            raise InputError(
+                f"labels must name enamel and dentin for a tooth, got {held} in {labels.image.source}: name them by "
+                "--label-names FILE, of the names " + ", ".join(TOOTH_LAYERS)
+            )
+    chosen = _only(labels, layers)
+    return replace(chosen, image=part_of(chosen.image, box_of(chosen.image.values > 0, MARGIN)))
+
+
+def _only(labels: Labels, kept: dict[int, str]) -> Labels:
+    """Return some of the labels."""
+    values = np.where(np.isin(labels.image.values, list(kept)), labels.image.values, 0).astype(np.uint8)
+    return Labels(replace(labels.image, values=values), kept)
+
+
+def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
+    """Return the middle of the largest lesion or of the tooth [mm, LPS], and a sentence on the site."""
+    from scipy.ndimage import label
+
+    spacing = np.array(tooth.image.spacing_mm)
+    origin = np.array(tooth.image.origin_mm)
+    if not at_lesion:
+        middle = origin + spacing * np.argwhere(tooth.image.values).mean(axis=0)
+        return middle, "site: where the tooth's long axis leaves the enamel"
+    if "caries" not in tooth.names.values():
+        raise InputError(
+            "site",
+            "not be tooth:lesion for a tooth without a label caries",
+            f"it for {tooth.image.source}",
+            "use --site tooth",
+        )
+    pieces, _ = label(tooth.mask("caries"))
+    counts = np.bincount(pieces.ravel())[1:]
+    middle = origin + spacing * np.argwhere(pieces == 1 + int(np.argmax(counts))).mean(axis=0)
+    sizes = np.sort(counts)[::-1]
+    second = f"the second has {sizes[1] / sizes[0]:.1%} of it" if len(sizes) > 1 else "there is no other"
+    return middle, f"site: over the largest lesion, {sizes[0] * np.prod(spacing):.3g} mm3; {second}"
+
+
+def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> None:
+    """Draw slices of an image with the layers of a tooth, through a point [mm, LPS]."""
+    low = np.array(tooth.image.origin_mm)
+    high = low + tooth.image.spacing_mm * (np.array(tooth.image.values.shape) - 1)
+    masks = sorted(((name, tooth.mask(name)) for name in tooth.names.values()), key=lambda each: -each[1].sum())
+    outer, *inner = ((name, replace(tooth.image, values=mask - np.float32(0.5))) for name, mask in masks)
+    draw_ct_slices(
+        cropped(image, (tuple(low.tolist()), tuple(high.tolist()))),
+        file,
+        body=outer,
+        others=dict(inner),
+        centre_mm=centre_mm,
+        normal=None,
+        points_mm=None,
+        title=image.source,
+    )
+
+
+def organ_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
+    """Draft the scene of a soft organ."""
+    region = request.region or ""
+    progress("reading the image", 0.0)
+    image = request.read_image()
+    labels = request.read_labels(image)
+    for argument, each in [("region", region), *(("part", part) for part in request.parts)]:
+        with names_of_caller({"label": argument}):
+            labels.number(each)
+    for each, modulus in request.parts.items():
+        if not modulus > 0.0:
+            raise InputError("part", "have a modulus above 0", f"{each}={modulus:g}", "give kPa")
+    mask = labels.mask(region)
+    note = soft_label_note(image, mask, region) if mask.any() and inspect(image).is_hounsfield else ""
+    mesh, notes = organ_mesh(labels, region, tuple(request.parts), report=progress)
+    sentences = [*image.notes, *labels.image.notes, *([note] if note else [])]
+    sentences += [f"{each}: {text}" for each, text in notes.items()]
+    names = (region, *request.parts)
+    volumes_ml = 1e6 * mesh.volumes_m3
+    record = {
+        "source": image.source,
+        "organ": region,
+        "volume_ml": {
+            each: float(volumes_ml[mesh.part == number].sum()) for number, each in enumerate(mesh.part_names)
+        },
+        "parts_kPa": dict(request.parts),
+    }
+
+    def draw(file: Path) -> None:
+        masks = {each: labels.mask(each) for each in names}
+        draw_ct_organ(image, file, masks=masks, mesh=mesh, title=image.source)
+
+    files: dict[str, Writer] = {
+        "organ.vtu": partial(write_organ, mesh),
+        "labels.seg.nrrd": partial(write_labels, _only(labels, {labels.number(each): each for each in names})),
+        "slices.png": draw,
+    }
+    return Draft(toml(_organ_scene(request, name, image.source)), record, files, sentences)
+
+
+def _organ_scene(request: ImportRequest, name: str, source: str) -> dict[str, Any]:
+    """Return the scene in which a ball presses an organ."""
+    region = request.region or ""
+    anatomy: dict[str, object] = {
+        "kind": "liver",
+        "file": "organ.vtu",
+        "scale_mm": 1.0,
+        "normal": list(request.normal_lps or FRONT),
+        "held": "below",
+    }
+    if request.point_mm is not None:
+        anatomy["centre_mm"] = [round(value, 3) for value in request.point_mm]
+    organ: dict[str, object] = {"material": "kidney" if "kidney" in region.lower() else "liver"}
+    if request.parts:
+        organ["parts"] = {each: float(modulus) for each, modulus in request.parts.items()}
+    return {
+        "name": name,
+        "description": f"{region} of {source}",
+        "anatomy": anatomy,
+        "organ": organ,
+        "tool": {"kind": "sphere-probe", "diameter_mm": BALL_MM},
+        "motion": {"kind": "path", "points_mm": [[0, 0, 2], [0, 0, -DEPTH_MM]], "feed_mm_s": FEED_MM_S},
+    }

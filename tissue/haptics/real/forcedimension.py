@@ -1,0 +1,206 @@
+"""Force Dimension's devices by forcedimension-core, which loads the vendor's library at run time.
+
+Read in forcedimension-core 1.0.0: every call takes the device's number, returns -1 for an error, and fills a buffer.
+Positions are in m, matrices hold the axes of the handle as columns; x points to the hand, y to its right, z up.
+"""
+
+from collections import Counter
+from contextlib import suppress
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceError, DeviceParameters, device_parameters
+from tissue.haptics.real.adapter import FoundDevice, HardwareSample
+from tissue.motion.quaternion import of_matrix
+
+if TYPE_CHECKING:
+    from tissue.scene.hardware import Hardware
+
+__all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
+
+FAILED, UNCHANGED = -1, 1
+"""What a call returns: an error, or that the device was not asked again so soon after the last call (TIMEGUARD)."""
+MOST_FAILURES = 100
+"""Failed calls one after the other after which the device is lost."""
+FIRST = -1
+MISSING = (
+    "must be installed for a device of Force Dimension, got none: pip install 'tissue-sim[forcedimension]' with Python "
+    "3.11 or 3.12, and the SDK of forcedimension.com"
+)
+
+
+_OPEN: Counter[int] = Counter()
+"""How many adapters of this process have a device open, by the library's number."""
+
+
+class ForceDimensionAdapter:
+    """A device of Force Dimension whose wrist, if any, has no motors, such as the omega.6.
+
+    Each call asks the device by USB and returns within a fraction of a millisecond, so that the loop's thread makes
+    them; a wrist without motors is read.
+
+    Parameters
+    ----------
+    hardware
+        Its ``address`` is the device's serial number; empty for the first one.
+
+    Raises
+    ------
+    InputError
+        If the address is no number.
+    """
+
+    name = "forcedimension"
+    has_motors = False
+    """Whether the wrist has motors."""
+
+    def __init__(self, hardware: "Hardware | None" = None) -> None:
+        address = hardware.address if hardware else ""
+        if address and not (address.isascii() and address.isdigit()):
+            raise InputError(
+                f"hardware.address must be a serial number, got {address}: leave it out for the first device"
+            )
+        self._serial = int(address) if address else FIRST
+        self.limits: DeviceParameters = device_parameters(self.name)
+        self._dhd: Any = None
+        self._id = FIRST
+        self._has_wrist = False
+        self._failures = 0
+        self._position, self._velocity, self._spin = [0.0] * 3, [0.0] * 3, [0.0] * 3
+        self._matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+    @classmethod
+    def find(cls, address: str = "") -> list[FoundDevice]:
+        """Devices of this kind that are connected, or why there are none; each is opened for a moment."""
+        try:
+            dhd = _library()
+        except InputError as error:
+            return [] if cls.has_motors else [FoundDevice(name=cls.name, problem=str(error))]
+        found = []
+        for index in range(max(dhd.getDeviceCount(), 0)):
+            if (number := dhd.openID(index)) == FAILED:
+                found.append(FoundDevice(name=cls.name, where=f"device {index}", problem=_refused(dhd)))
+                continue
+            try:
+                if bool(dhd.hasActiveWrist(number)) != cls.has_motors:
+                    continue
+                serial, model = str(dhd.getSerialNumber(number)), dhd.getSystemName(number) or "unknown model"
+            finally:
+                if not _OPEN[number]:  # it would end the run of the adapter that has it open
+                    dhd.close(number)
+            if address in ("", serial):
+                found.append(FoundDevice(name=cls.name, where=serial, detail=model, limits=device_parameters(cls.name)))
+        if not found and not cls.has_motors:
+            found = [FoundDevice(name=cls.name, problem="a device must be connected, got none: check power and cable")]
+        return found
+
+    def __enter__(self) -> Self:
+        dhd = _library()
+        number = dhd.open() if self._serial == FIRST else dhd.openSerial(self._serial)
+        if number == FAILED:
+            raise InputError(_refused(dhd))
+        self._dhd, self._id, self._failures = dhd, number, 0
+        _OPEN[number] += 1
+        try:
+            if bool(dhd.hasActiveWrist(number)) != self.has_motors:
+                other = "forcedimension" if self.has_motors else "sigma-7"
+                raise InputError(
+                    f"device must be {other} for this hardware, got {self.name} for {dhd.getSystemName(number)}: set "
+                    f"device = {other}"
+                )
+            self._has_wrist = bool(dhd.hasWrist(number))
+            failed = dhd.setMaxForce(self.limits.force_limit_N, number) == FAILED
+            if self.has_motors:
+                failed |= dhd.setMaxTorque(self.limits.torque_limit_Nm, number) == FAILED
+            if failed or dhd.enableForce(True, number) == FAILED:
+                raise InputError(_refused(dhd))
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def poll(self) -> HardwareSample | None:
+        """The newest pose; None where the device was not asked again, or did not answer.
+
+        Raises
+        ------
+        DeviceError
+            If it has not answered for long.
+        """
+        dhd, number = self._dhd, self._id
+        if self._has_wrist:
+            answer = dhd.getPositionAndOrientationFrame(self._position, self._matrix, number)
+        else:
+            answer = dhd.getPosition(self._position, number)
+        self._count(answer)
+        if answer in (FAILED, UNCHANGED):
+            return None
+        # Both need two positions within their window and fail before: the device then counts as resting.
+        moves = dhd.getLinearVelocity(self._velocity, number) != FAILED
+        turns = self._has_wrist and dhd.getAngularVelocityRad(self._spin, number) != FAILED
+        (x, y, z), (vx, vy, vz), (wx, wy, wz) = self._position, self._velocity, self._spin
+        return HardwareSample(
+            (x, y, z),
+            (vx, vy, vz) if moves else (0.0, 0.0, 0.0),
+            of_matrix(self._matrix) if self._has_wrist else (0.0, 0.0, 0.0, 1.0),
+            (wx, wy, wz) if turns else (0.0, 0.0, 0.0),
+            dhd.getButtonMask(number) & 0xFFFFFFFF,
+        )
+
+    def push(self, force_N: Array, torque_Nm: Array) -> None:
+        """Play a force and, with motors in the wrist, a torque; the device holds them until the next ones.
+
+        Raises
+        ------
+        DeviceError
+            If it has not taken one for long.
+        """
+        torque = torque_Nm.tolist() if self.has_motors else (0.0, 0.0, 0.0)
+        self._count(self._dhd.setForceAndTorque(force_N.tolist(), torque, self._id))
+
+    def close(self) -> None:
+        """Take all force off by switching the motors off, and close the device, unless another adapter uses it."""
+        dhd, self._dhd = self._dhd, None
+        if dhd is None:
+            return
+        _OPEN[self._id] -= 1
+        calls = [lambda: dhd.setForceAndTorque((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), self._id)]
+        if not _OPEN[self._id]:
+            calls += [lambda: dhd.enableForce(False, self._id), lambda: dhd.close(self._id)]
+        for call in calls:
+            with suppress(Exception):
+                call()
+
+    def _count(self, answer: int) -> None:
+        self._failures = self._failures + 1 if answer == FAILED else 0
+        if self._failures >= MOST_FAILURES:
+            raise DeviceError(_refused(self._dhd))
+
+
+class SigmaAdapter(ForceDimensionAdapter):
+    """One whose wrist has motors, such as the sigma.7: torque is played too."""
+
+    name = "sigma-7"
+    has_motors = True
+
+
+def _library() -> Any:
+    """The functions of the vendor's library by which one device is used."""
+    try:
+        from forcedimension_core import dhd
+    except Exception as error:  # it raises ImportError without the vendor's library, and others for one that is damaged
+        what = "forcedimension-core" if isinstance(error, ModuleNotFoundError) else "the SDK of forcedimension.com"
+        raise InputError(f"{what} {MISSING}") from None
+    return dhd
+
+
+def _refused(dhd: Any) -> str:
+    """The last error of the library as a sentence."""
+    return f"the device must answer, got {dhd.errorGetLastStr()}: check power, cable and that no other program uses it"

@@ -1,0 +1,300 @@
+"""The exchange of frames with Haply's Inverse Service in a thread of its own: newest force out, newest state in.
+
+The service answers every frame that it is sent with one state, and plays a force for as long as it is sent again. So at
+most one frame waits for its answer, which belongs to the force before it, and a sample is no older than its exchange. A
+late answer ends that, because no frame states what it answers: zero is sent, and nothing more until as many answers
+have come as were asked for, or are given up.
+"""
+
+import socket
+import threading
+from contextlib import ExitStack, suppress
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING
+
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceError
+from tissue.haptics.real.adapter import HardwareSample
+from tissue.haptics.real.haply_frames import ServiceState, force_frame, opening_frame, spelling_of
+from tissue.haptics.real.haply_service import asked_version, problem_of, service_address
+from tissue.haptics.real.state_order import StateOrder
+from tissue.motion.quaternion import Triple
+from tissue.system.timeout import returned_within
+
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
+
+__all__ = ["HaplyLink"]
+
+PERIOD_S = 1e-3
+"""Longest time between an answer and the next frame [s]."""
+ANSWER_S = 0.02
+"""How long an answer may take [s]."""
+LOST_S = 0.5
+"""Silence after which answers that are late count as lost [s]."""
+PATIENCE_S = 0.01
+"""How long the thread waits before it looks whether it is to end [s]."""
+HOLD_S = 0.03
+"""How long a force is sent again that the loop has not commanded again [s]."""
+GIVE_UP_S = 3.0
+"""How long a run goes on without a sample [s]."""
+AGAIN_S = 2.5
+"""How long the service is tried to be reached again [s]."""
+MOST_EVENTS = 100
+"""Events that are kept one by one."""
+MOST_BEHIND = 20
+"""Frames that are taken at once, where a service sends more than it is asked for."""
+OPEN_S = 2.0
+"""How long the service may take to open and to send its first frame [s]."""
+NO_FORCE: Triple = (0.0, 0.0, 0.0)
+START_IT = "start the Inverse Service (it runs while Haply Hub is open), or set hardware.address"
+
+
+class HaplyLink:
+    """A session with the service.
+
+    Parameters
+    ----------
+    address
+        Address of the service, with the device's identity behind a #; empty for the usual one and the first device.
+
+    Attributes
+    ----------
+    url
+        Address of the service.
+    state
+        What the service has stated of its devices.
+    version
+        Major and minor version of the service; None where it does not state it.
+    events
+        What has happened, in sentences.
+    releases
+        How often the force was taken off here: what comes on again has to begin at zero.
+    """
+
+    def __init__(self, address: str = "") -> None:
+        self.url, self._host, self._port, device_id = service_address(address)
+        self._device_id = device_id
+        self.state = ServiceState(device_id)
+        self.version: tuple[int, int] | None = None
+        self.events: list[str] = []
+        self.releases, self._was_off = 0, True
+        self._spelling = "vector"
+        self._socket: ClientConnection | None = None
+        self._stack = ExitStack()
+        self._sample: HardwareSample | None = None
+        self._sampled_s = self._asked_s = 0.0
+        self._force, self._pushed_s = NO_FORCE, 0.0
+        self._problem, self._order = "", StateOrder()
+        self._wake, self._ended = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+        self._sending = threading.Lock()  # nothing follows the zero of the end
+
+    @property
+    def version_text(self) -> str:
+        """The service's version in words."""
+        return "of unknown version" if self.version is None else "{}.{}".format(*self.version)
+
+    def open(self) -> None:
+        """Reach the service and take its first frame.
+
+        Raises
+        ------
+        InputError
+            If the library is missing or the service does not answer.
+        """
+        try:
+            from websockets.exceptions import WebSocketException
+            from websockets.sync.client import connect
+        except ModuleNotFoundError:
+            raise InputError(
+                "websockets must be installed for device = haply, got none: pip install 'tissue-sim[haply]'"
+            ) from None
+        self.state = ServiceState(self._device_id)
+        try:
+            self._socket = self._stack.enter_context(
+                connect(
+                    self.url, compression=None, proxy=None, open_timeout=OPEN_S, close_timeout=0.1, ping_interval=None
+                )
+            )
+            first = self._socket.recv(timeout=OPEN_S)
+        except (OSError, WebSocketException) as error:
+            self._disconnect()
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"haply must be reached at {self.url}, got {words}: {START_IT}") from None
+        self.state.take(first)
+        self.version = asked_version(self._host, self._port)
+        self._spelling = spelling_of(self.version, has_session=b"session_id" in _bytes(first))
+
+    def start(self) -> None:
+        """Begin to exchange frames, without force, and wait for the first sample.
+
+        Raises
+        ------
+        InputError
+            If the device cannot be used as it is.
+        """
+        if problem := problem_of(self.state):
+            self._disconnect()
+            raise InputError(problem)
+        if self.state.status("in_use") is True:
+            self._log("another program uses the device: the service adds the forces of both, close the other")
+        self._sample, self._sampled_s = None, perf_counter()
+        self._thread = threading.Thread(target=self._run, daemon=True, name="haply")
+        self._thread.start()
+        until = perf_counter() + OPEN_S
+        while self._sample is None and not self._problem and perf_counter() < until:
+            sleep(PERIOD_S)  # what the first frame stated may be old by now
+
+    def newest(self) -> HardwareSample | None:
+        """The newest sample; None where none came since the last call.
+
+        Raises
+        ------
+        DeviceError
+            If the service or the device is lost for good.
+        """
+        sample, self._sample = self._sample, None
+        if self._problem:
+            raise DeviceError(self._problem)
+        if sample is None and perf_counter() - self._sampled_s > GIVE_UP_S and not self._ended.is_set():
+            raise DeviceError(
+                f"haply must answer, got no state of {self.state.device_id} for {GIVE_UP_S:g} s: check the device's "
+                "cable and power, and restart the Inverse Service"
+            )
+        return sample
+
+    def play(self, force_N: Triple) -> None:
+        """Let this be the force that is sent from now on."""
+        self._force, self._pushed_s = force_N, perf_counter()
+        self._wake.set()
+
+    def end(self) -> None:
+        """Send zero as the last force and leave the service; may be called from any thread, and again."""
+        self._force = NO_FORCE
+        self._ended.set()
+        self._wake.set()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(0.15)
+        zero = force_frame(self.state.device_id, NO_FORCE, self._spelling)
+        is_read = self._thread is None
+        if self._thread is not None and self._sending.acquire(timeout=0.05):
+            # On a busy machine the thread may not have come to it; a service that reads no more would block it.
+            is_read = returned_within(0.1, lambda: self._open_socket.send(zero))
+            self._sending.release()
+        self._disconnect(cut=not is_read)
+
+    def _run(self) -> None:
+        """Exchange frames until the end, and reach a service that was restarted."""
+        from websockets.exceptions import WebSocketException
+
+        goes_on = True
+        while goes_on and not self._ended.is_set():
+            try:
+                self._exchange()
+            except (OSError, WebSocketException) as error:
+                goes_on = not self._ended.is_set() and self._reached_again(" ".join(str(error).split()))
+            except Exception as error:  # nothing may leave the loop waiting for a thread that is gone
+                self._problem = f"haply must send frames as documented, got {type(error).__name__} ({error}): report it"
+                goes_on = False
+        with suppress(OSError, WebSocketException):
+            self._send(NO_FORCE)
+        self._disconnect()
+
+    def _exchange(self) -> None:
+        """Frame by frame."""
+        self._asked_s = perf_counter()
+        self._open_socket.send(opening_frame(self.state.device_id, self._spelling))
+        while not self._ended.is_set():
+            if not self._receive(ANSWER_S) and not self._ended.is_set():
+                self._await_answers()
+            self._wake.wait(PERIOD_S)
+            self._wake.clear()
+            is_old = perf_counter() - self._pushed_s > HOLD_S
+            is_off = is_old or self._order.is_wrong or bool(self._problem) or self._ended.is_set()
+            self.releases += is_off and not self._was_off
+            self._was_off = is_off
+            self._send(NO_FORCE if is_off else self._force)
+
+    def _send(self, force_N: Triple) -> None:
+        self._asked_s = perf_counter()
+        with self._sending:
+            sent = NO_FORCE if self._ended.is_set() else force_N
+            self._open_socket.send(force_frame(self.state.device_id, sent, self._spelling))
+
+    def _receive(self, seconds: float) -> bool:
+        """Take the answer and all that came behind it; whether there was one in time."""
+        link, answered = self._open_socket, False
+        with suppress(TimeoutError):
+            for _ in range(MOST_BEHIND):
+                self._take(link.recv(timeout=0 if answered else seconds))
+                answered = True
+        return answered
+
+    def _take(self, text: str | bytes) -> None:
+        """Merge a frame, and make the new sample of it."""
+        if not self.state.take(text):
+            return
+        if problem := problem_of(self.state):
+            self._force, self._problem = NO_FORCE, problem
+        elif (sample := self.state.sample()) is not None:
+            was_wrong, now = self._order.is_wrong, perf_counter()
+            if not self._order.observe(sample, now):
+                if now - self._asked_s < ANSWER_S:  # this thread may have stood still before it took the answer
+                    self._sample, self._sampled_s = sample, now
+            elif not was_wrong:
+                self._log("states of the service come in a wrong order: the force is taken off")
+
+    def _await_answers(self) -> None:
+        """Take the force off, and wait for the answers that are late, of which none is a new sample."""
+        self._force, self._sample = NO_FORCE, None
+        self.releases += 1
+        self._log(f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off")
+        self._send(NO_FORCE)
+        link, missing, until = self._open_socket, 2, perf_counter() + LOST_S
+        while missing > 0 and perf_counter() < until and not self._ended.is_set():
+            with suppress(TimeoutError):
+                self.state.take(link.recv(timeout=PATIENCE_S))
+                missing, until = missing - 1, perf_counter() + LOST_S
+
+    def _reached_again(self, why: str) -> bool:
+        """Reach a service that was restarted; whether it answers before it is given up."""
+        self._force, self._sample = NO_FORCE, None
+        self.releases += 1
+        self._log("the service closed the connection: the force is zero until it is back")
+        until = perf_counter() + AGAIN_S
+        while perf_counter() < until and not self._ended.wait(0.05):
+            self._disconnect()
+            with suppress(InputError):
+                self.open()
+                if not problem_of(self.state):
+                    self._sampled_s = perf_counter()
+                    return True
+        self._problem = problem_of(self.state) if self.state.device_ids else ""
+        self._problem = self._problem or f"haply must keep its connection, got {why or 'it closed'}: {START_IT}"
+        return False
+
+    @property
+    def _open_socket(self) -> "ClientConnection":
+        """The connection, unless another thread has ended it."""
+        if self._socket is None:
+            raise OSError("the session was ended")
+        return self._socket
+
+    def _log(self, what: str) -> None:
+        if len(self.events) < MOST_EVENTS:
+            self.events.append(what)
+
+    def _disconnect(self, *, cut: bool = False) -> None:
+        """Close the connection; cut it first if a frame waits for a service that reads no more."""
+        stack, link = self._stack, self._socket
+        self._stack, self._socket = ExitStack(), None
+        if cut and link is not None:
+            with suppress(OSError):
+                link.socket.shutdown(socket.SHUT_RDWR)
+        with suppress(OSError):
+            stack.close()
+
+
+def _bytes(text: str | bytes) -> bytes:
+    return text.encode() if isinstance(text, str) else text

@@ -1,0 +1,76 @@
+"""Where Haply's Inverse Service is, which version it has, and why its device cannot be used."""
+
+from contextlib import suppress
+from http.client import HTTPConnection, HTTPException
+from urllib.parse import urlsplit
+
+from meshes.base.errors import InputError
+from tissue.haptics.real.haply_frames import ServiceState, version_in
+from tissue.system.timeout import returned_within
+
+__all__ = ["asked_version", "problem_of", "service_address"]
+
+USUAL = "ws://localhost:10001"
+ANSWER_S, STATED_S = 0.5, 2.0
+"""How long the service may be silent before it states its version, and how long that may take in all [s]."""
+LONGEST = 65_536
+"""Bytes that are read of what states the version."""
+
+
+def service_address(address: str) -> tuple[str, str, int, str]:
+    """Address of the WebSocket, its host and port, and the device's identity, of ``hardware.address``.
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    parts = urlsplit(address or USUAL)
+    try:
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+    if parts.scheme != "ws" or not host or not port or parts.path not in ("", "/"):
+        raise InputError(
+            f"hardware.address must be ws://HOST:PORT, with #DEVICE for one of several, got {address}: use {USUAL}"
+        )
+    return f"ws://{parts.netloc}", host, port, parts.fragment
+
+
+def problem_of(state: ServiceState) -> str:
+    """Why the device cannot be used, in one sentence; nothing where it can."""
+    name, ids = state.device_id, state.device_ids
+    if not ids:
+        return "haply must list an Inverse3, got none: plug it in, switch it on, and look for it in Haply Hub"
+    if name not in ids:
+        return f"hardware.address must name one of the devices {', '.join(ids)} behind #, got {name}: use #{ids[0]}"
+    for entry, must, remedy in (
+        ("calibrated", "be calibrated", "calibrate it as Haply Hub shows, and start again"),
+        ("power_supply", "have power", "connect its power supply"),
+        ("ready", "be ready", "wait until its light shows that it is, and start again"),
+    ):
+        if state.status(entry) is False:
+            return f"haply must {must}, got {entry} = false of {name}: {remedy}"
+    return ""
+
+
+def asked_version(host: str, port: int) -> tuple[int, int] | None:
+    """Return the service's version, as it states it at the same port by HTTP; None where it does not in time."""
+    found: list[tuple[int, int]] = []
+    returned_within(STATED_S, lambda: found.extend(_versions(host, port)))
+    return found[0] if found else None
+
+
+def _versions(host: str, port: int) -> list[tuple[int, int]]:
+    """Return the versions that are stated at the usual paths, at most one."""
+    for path in ("/version", "/3.1/version"):
+        with suppress(OSError, HTTPException):
+            connection = HTTPConnection(host, port, timeout=ANSWER_S)
+            try:
+                connection.request("GET", path)
+                answer = connection.getresponse()
+                if answer.status == 200 and (found := version_in(answer.read(LONGEST))) is not None:
+                    return [found]
+            finally:
+                connection.close()
+    return []

@@ -1,0 +1,228 @@
+"""A user's device over UDP or a WebSocket, by the packets of `tissue.haptics.real.network_protocol`."""
+
+import socket
+from collections.abc import Hashable
+from contextlib import suppress
+from time import perf_counter, sleep
+from types import TracebackType
+from typing import TYPE_CHECKING, Protocol, Self
+from urllib.parse import urlsplit
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.haptics.real.adapter import FoundDevice, HardwareSample
+from tissue.haptics.real.network_protocol import NO_WRENCH
+from tissue.haptics.real.network_session import NetworkSession
+
+if TYPE_CHECKING:
+    from tissue.scene.hardware import Hardware
+
+__all__ = ["USUAL", "NetworkAdapter", "Transport", "UdpTransport"]
+
+USUAL = "udp://127.0.0.1:24930"
+"""Where a device is awaited unless the scene states another address."""
+MOST_READS = 256
+"""Packets that one poll takes; what a device sends in a quarter of a second, in about 2 ms."""
+LONGEST_PACKET = 1024
+LOOK_S = 0.6
+"""How long a search waits for a device to ask [s]; it asks ten times a second."""
+
+
+class Transport(Protocol):
+    """What carries packets: opened at once, read and written without waiting."""
+
+    address: str
+    """Where it listens."""
+
+    def read(self) -> None:
+        """Give the session all packets that have come."""
+
+    def send(self, peer: Hashable, data: bytes) -> None:
+        """Send a packet to the device; what cannot be sent is dropped."""
+
+    def close(self) -> None:
+        """Stop listening."""
+
+
+class UdpTransport:
+    """Packets as datagrams, read where they are polled for.
+
+    Parameters
+    ----------
+    host, port
+        Where to listen; port 0 for any free one.
+    session
+        Takes what comes.
+
+    Raises
+    ------
+    InputError
+        If it cannot listen there.
+    """
+
+    def __init__(self, host: str, port: int, session: NetworkSession) -> None:
+        self._session, self._closed = session, False
+        try:
+            (family, kind, *_, place), *_ = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_DGRAM)
+            self._socket = socket.socket(family, kind)
+        except OSError as error:
+            raise _cannot_listen(f"udp://{host}:{port}", error) from None
+        try:
+            self._socket.bind(place)
+        except OSError as error:
+            self._socket.close()
+            raise _cannot_listen(f"udp://{host}:{port}", error) from None
+        self._socket.setblocking(False)
+        self.address = f"udp://{host}:{self._socket.getsockname()[1]}"
+
+    def read(self) -> None:
+        """Give the session all packets that have come."""
+        for _ in range(MOST_READS):
+            try:
+                data, sender = self._socket.recvfrom(LONGEST_PACKET)
+            except BlockingIOError:
+                return
+            except ConnectionError:  # Windows reports here that an earlier packet reached nobody
+                continue
+            except OSError:
+                if self._closed:
+                    return
+                raise
+            if (reply := self._session.receive(data, sender)) is not None:
+                self.send(sender, reply)
+
+    def send(self, peer: Hashable, data: bytes) -> None:
+        """Send a packet; one that the system does not take at once is dropped, and the device falls silent to zero."""
+        with suppress(OSError):
+            self._socket.sendto(data, peer)  # type: ignore[call-overload]
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._closed = True
+        self._socket.close()
+
+
+class NetworkAdapter:
+    """A user's device that sends its pose and is sent a wrench.
+
+    Parameters
+    ----------
+    hardware
+        Its ``address`` is ``udp://HOST:PORT`` or ``ws://HOST:PORT``, where this program listens; empty for `USUAL`.
+
+    Attributes
+    ----------
+    session
+        Who is connected, and how many packets were dropped for what reason.
+
+    Raises
+    ------
+    InputError
+        If the address cannot be meant.
+    """
+
+    def __init__(self, hardware: "Hardware | None" = None) -> None:
+        self._scheme, self._host, self._port = _parsed((hardware.address if hardware else "") or USUAL)
+        self.limits: DeviceParameters = device_parameters("network")
+        self.session = NetworkSession()
+        self._transport: Transport | None = None
+
+    @staticmethod
+    def find(address: str = "") -> list[FoundDevice]:
+        """The device that asks to be used within `LOOK_S`, or why there is none."""
+        from tissue.scene.hardware import Hardware
+
+        try:
+            with NetworkAdapter(Hardware(address=address)) as adapter:
+                until = perf_counter() + LOOK_S
+                while adapter.session.peer is None and perf_counter() < until:
+                    adapter.poll()
+                    sleep(0.01)
+                peer, dropped, place = adapter.session.peer, adapter.happened(), adapter.address
+        except ValueError as error:  # an address, a port that is taken, or what is not installed
+            return [FoundDevice(name="network", problem=str(error))]
+        if peer is not None:
+            detail, limits = f"listens at {place}", device_parameters("network")
+            return [FoundDevice(name="network", where=str(peer), detail=detail, limits=limits)]
+        got = "".join(dropped) or "none"
+        problem = f"a device must send packets to {place}, got {got} in {LOOK_S:g} s: start its program"
+        return [FoundDevice(name="network", problem=problem)]
+
+    @property
+    def address(self) -> str:
+        """Where it listens, with the port that was taken for 0."""
+        return self._transport.address if self._transport else f"{self._scheme}://{self._host}:{self._port}"
+
+    @property
+    def round_trip_s(self) -> float:
+        """From a wrench to the first packet of the device that has seen it [s]; nan before."""
+        return self.session.round_trip_s
+
+    def happened(self) -> list[str]:
+        """What was dropped or lost on the line so far, in a sentence, or nothing."""
+        good = ("poses", "heartbeats", "hellos")
+        found = [f"{count} as {what}" for what, count in self.session.counts.items() if count and what not in good]
+        return [f"packets that were not used: {', '.join(found)}"] if found else []
+
+    def __enter__(self) -> Self:
+        if self._scheme == "ws":
+            from tissue.haptics.real.network_web import WebTransport
+
+            self._transport = WebTransport(self._host, self._port, self.session)
+        else:
+            self._transport = UdpTransport(self._host, self._port, self.session)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def poll(self) -> HardwareSample | None:
+        """The newest pose; None where none came since the last call."""
+        if (transport := self._transport) is None:
+            return None
+        transport.read()
+        return self.session.take()
+
+    def push(self, force_N: Array, torque_Nm: Array) -> None:
+        """Send a force and a torque; the device plays them until the next ones, or for 50 ms."""
+        (fx, fy, fz), (tx, ty, tz) = force_N.tolist(), torque_Nm.tolist()
+        transport, sending = self._transport, self.session.wrench(((fx, fy, fz), (tx, ty, tz)))
+        if transport is not None and sending is not None:  # after a close the packet's number would be an old one
+            transport.send(*sending)
+
+    def close(self) -> None:
+        """Send zero and goodbye, and stop listening."""
+        transport, self._transport = self._transport, None
+        if transport is None:
+            return
+        for sending in (self.session.wrench(NO_WRENCH), self.session.bye()):
+            if sending is not None:
+                transport.send(*sending)
+        transport.close()
+
+
+def _parsed(address: str) -> tuple[str, str, int]:
+    """Scheme, host and port of an address."""
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        parts, host, port = None, None, None
+    if parts is None or parts.scheme not in ("udp", "ws") or not host or port is None or parts.path.strip("/"):
+        raise InputError(
+            f"hardware.address must be udp://HOST:PORT or ws://HOST:PORT where a device is awaited, got {address}: use "
+            f"{USUAL}"
+        )
+    return parts.scheme, f"[{host}]" if ":" in host else host, port
+
+
+def _cannot_listen(address: str, error: OSError) -> InputError:
+    """Why an address cannot be listened at."""
+    why = (error.strerror or str(error)).lower()
+    return InputError(
+        f"hardware.address must be free on this machine, got {address} ({why}): end the program that uses it, or use "
+        "another port"
+    )

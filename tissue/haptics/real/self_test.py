@@ -1,0 +1,161 @@
+"""What a device in hand does: how often it gives a sample, how evenly, its latency, and a push that can be felt."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from math import isfinite, nan, pi, sin, sqrt
+from time import perf_counter, sleep
+
+import numpy as np
+
+from meshes.base.errors import InputError, require_range
+from tissue.haptics.device.reach import Reach
+from tissue.haptics.real.adapter import HardwareAdapter
+from tissue.models.tissue_model import TICK_S
+
+__all__ = ["BUMP_N", "BUMP_S", "Bump", "SelfTest", "bump", "self_test"]
+
+BUMP_N, BUMP_S = 0.5, 0.3
+"""Greatest force of the push [N] and how long it lasts [s]."""
+FEWEST = 20
+"""Samples without which nothing can be stated."""
+PAUSE_S = 5e-5
+"""Pause between two calls [s]: short against a tick, and other threads run in it."""
+START_S = 5.0
+"""How long the first sample may take [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelfTest:
+    """What was measured while zero was commanded each tick.
+
+    Attributes
+    ----------
+    seconds
+        How long it was measured [s].
+    samples, rate_Hz
+        How many new samples came, and how many a second [Hz].
+    interval_s, interval_99_s, longest_s
+        Time between two samples [s]: median, 99 %, longest.
+    call_s, call_99_s
+        Time that reading and commanding take together [s]: median and 99 %.
+    round_trip_s, round_trip_99_s
+        From a command to the first sample that has seen it [s]: median and 99 %; nan where the device does not show it.
+    """
+
+    seconds: float
+    samples: int
+    rate_Hz: float
+    interval_s: float
+    interval_99_s: float
+    longest_s: float
+    call_s: float
+    call_99_s: float
+    round_trip_s: float = nan
+    round_trip_99_s: float = nan
+
+    @property
+    def delay_s(self) -> float:
+        """Latency of the device besides the hold [s]: the round trip, or else what its calls take."""
+        return self.round_trip_s if isfinite(self.round_trip_s) else self.call_s
+
+    @property
+    def delay_99_s(self) -> float:
+        """The same, 99 %."""
+        return self.round_trip_99_s if isfinite(self.round_trip_s) else self.call_99_s
+
+
+@dataclass(frozen=True)
+class Bump:
+    """How far the handle moved in a push, along it and in all [m]."""
+
+    along_m: float
+    moved_m: float
+
+
+def self_test(
+    adapter: HardwareAdapter,
+    *,
+    seconds: float = 2.0,
+    clock: Callable[[], float] = perf_counter,
+    pause: Callable[[float], None] = sleep,
+) -> SelfTest:
+    """Measure an adapter that is open, without force on the hand.
+
+    Parameters
+    ----------
+    adapter
+        The device; where it has ``round_trip_s``, that is taken with each sample.
+    seconds
+        How long to measure, from the first sample on [s].
+    clock, pause
+        Give the time [s], and wait.
+
+    Raises
+    ------
+    InputError
+        If too few samples come, or as `DeviceError` if positions leave the device's reach, as millimetres do.
+    """
+    require_range("seconds", seconds, 0.1, 600.0, "use 2")
+    zero, times, calls, trips = np.zeros(3), list[float](), list[float](), list[float]()
+    end, due, reach = clock() + START_S, clock(), Reach(adapter.limits)
+    while (before := clock()) < end:
+        sample = adapter.poll()
+        if (now := clock()) >= due:
+            adapter.push(zero, zero)
+            due = max(due + TICK_S, now)
+            calls.append(clock() - before)
+        if sample is not None:
+            if not times:
+                end = now + seconds
+                calls.clear()
+            reach.require(sample.position_m)
+            times.append(now)
+            trips.append(getattr(adapter, "round_trip_s", nan))
+        pause(PAUSE_S)
+    if len(times) < FEWEST:
+        raise InputError(f"a device must give samples for its test, got {len(times)}: check that it is on, and move it")
+    gaps, shown = np.diff(times), [each for each in trips if isfinite(each)]
+    (interval, interval_99), (call, call_99) = _middle_and_99(gaps), _middle_and_99(calls)
+    trip, trip_99 = _middle_and_99(shown) if len(shown) >= FEWEST else (nan, nan)
+    return SelfTest(
+        seconds=seconds, samples=len(times), rate_Hz=len(gaps) / (times[-1] - times[0]),
+        interval_s=interval, interval_99_s=interval_99, longest_s=float(gaps.max()),
+        call_s=call, call_99_s=call_99, round_trip_s=trip, round_trip_99_s=trip_99,
+    )  # fmt: skip
+
+
+def bump(
+    adapter: HardwareAdapter, *, clock: Callable[[], float] = perf_counter, pause: Callable[[float], None] = sleep
+) -> Bump:
+    """Push the hand by at most `BUMP_N` along the device's z, rising and falling as half a sine; zero whatever ends it.
+
+    Raises
+    ------
+    InputError
+        If no sample comes meanwhile.
+    """
+    places = []
+    start = clock()
+    try:
+        while (elapsed := clock() - start) < BUMP_S:
+            if (sample := adapter.poll()) is not None:
+                places.append(sample.position_m)
+            adapter.push(np.array([0.0, 0.0, BUMP_N * sin(pi * elapsed / BUMP_S)]), np.zeros(3))
+            pause(TICK_S)
+    except BaseException:
+        with suppress(Exception):
+            adapter.close()
+        raise
+    finally:
+        with suppress(Exception):
+            adapter.push(np.zeros(3), np.zeros(3))
+    if not places:
+        raise InputError("a device must give samples for its test, got none during the push: check its cable")
+    away = np.array(places) - places[0]
+    return Bump(float(away[np.abs(away[:, 2]).argmax(), 2]), sqrt(float((away**2).sum(axis=1).max())))
+
+
+def _middle_and_99(values: "list[float] | np.ndarray[tuple[int], np.dtype[np.float64]]") -> tuple[float, float]:
+    middle, most = np.percentile(values, [50.0, 99.0])
+    return float(middle), float(most)

@@ -1,0 +1,87 @@
+"""A trainee's run held against a reference of the same scene, as `tissue assess` does: `tissue.assess`."""
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from meshes.base.errors import InputError
+from tissue.evaluation import assessment as engine
+from tissue.evaluation.assessment import write_assessment
+from tissue.objects.run import Run, open_run
+from tissue.scene.scene import Scene
+from tissue.simulation.run_summary import Summary
+from tissue.simulation.trace import Table
+
+__all__ = ["Assessment", "assess"]
+
+
+class Assessment(engine.Assessment):
+    """A trainee's run beside the reference; ``print`` shows what a person reads."""
+
+    def __str__(self) -> str:
+        return "\n".join(engine.assessment_lines(self))
+
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> list[Path]:
+        """Write ``assessment.json`` and ``assessment.png``.
+
+        Raises
+        ------
+        InputError
+            If the folder is a file, or holds another assessment and `overwrite` is not given.
+        """
+        return write_assessment(self, Path(folder), overwrite=overwrite)
+
+
+def assess(
+    trainee: Run | str | Path,
+    reference: Run | str | Path,
+    *,
+    force_limit_N: float | None = None,
+    deviation_limit_mm: float = 1.0,
+    overshoot_limit_mm: float = 0.5,
+) -> Assessment:
+    """Hold one run against another of the same scene, aligned by place, so that a pause is no error.
+
+    Parameters
+    ----------
+    trainee, reference
+        Runs, or folders of runs.
+    force_limit_N
+        Force on the tool that should not be passed [N]; 1.25 times the reference's peak where it is not given.
+    deviation_limit_mm
+        Distance from the reference's path that should not be passed [mm].
+    overshoot_limit_mm
+        How far below the reference's deepest point the tip may go [mm].
+
+    Raises
+    ------
+    InputError
+        If the runs are of two tasks (another anatomy, tool or material), hold no trace, or never touch.
+    """
+    found = engine.assess(
+        _held(trainee),
+        _held(reference),
+        force_limit_N=force_limit_N,
+        deviation_limit_mm=deviation_limit_mm,
+        overshoot_limit_mm=overshoot_limit_mm,
+    )
+    return Assessment(**vars(found))
+
+
+@dataclass(frozen=True)
+class _Held:
+    """A run as it is assessed."""
+
+    path: Path | None
+    summary: Summary
+    trace: Table
+    complete: bool
+    scene: Scene | None
+
+
+def _held(run: Run | str | Path) -> _Held:
+    run = run if isinstance(run, Run) else open_run(run)
+    scene = None
+    with suppress(InputError):  # a run whose scene.toml is gone can be assessed all the same
+        scene = run.scene
+    return _Held(run.path, run.summary, run.trace, run.status == "complete", scene)

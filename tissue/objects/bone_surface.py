@@ -1,0 +1,228 @@
+"""The surface of a bone that tools have cut, and of what they took away, as pyvista shows them."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.surfaces.holes import close_seams
+from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.objects.quiet import quiet_without_display
+from tissue.simulation.bone_surface import smooth_normals, with_layers
+from tissue.simulation.builders.bone import VoxelBone
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["Removed", "bone_surface", "plot_surface", "removed_surface"]
+
+MERGED, SEAM = 1e-3, 3.0
+"""Points of two parts that are one, and loops that belong together, by their distance in voxels."""
+NEAR, AGREE = 0.5, 0.8
+"""Farthest voxels from a file's surface, and least cosine between normals, at which a cut bone is shaded like it."""
+
+
+def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.PolyData":
+    """The bone's surface as it is now [mm], with the cell array ``layer``.
+
+    Parameters
+    ----------
+    bone
+        The bone.
+    outer
+        Surface before any cut [mm], shown where no tool has been; None for a bone whose voxels are all made.
+    """
+    if outer is None:
+        volume, left = _padded(bone.whole)
+        return _moved(_shaded(with_layers(_contour(_at_origin(volume), left), _at_origin(volume))), volume.origin_m)
+    parts, middle_m = [], bone.bounds_m.mean(axis=0)
+    outer = _moved(outer, -middle_m).clean(point_merging=True).compute_normals(cell_normals=False, split_vertices=False)
+    whole = outer
+    spacing_mm = 1e3 * bone.store.grid.spacing_m
+    for made, left in bone.cut_parts():
+        volume = replace(made, origin_m=made.origin_m - middle_m)
+        outer = _without(outer, volume)
+        part = _contour(volume, left)
+        if part.n_cells:
+            parts.append(_shaded(with_layers(part, volume), like=whole, within_mm=NEAR * spacing_mm))
+    outer.cell_data["layer"] = np.zeros(outer.n_cells, dtype=np.uint8)
+    if parts:
+        outer = _joined(outer, parts, spacing_mm)
+    return _moved(outer, middle_m)
+
+
+def _joined(outer: "pyvista.PolyData", parts: "list[pyvista.PolyData]", spacing_mm: float) -> "pyvista.PolyData":
+    """A file's surface and the contours of the parts that were cut as one closed surface."""
+    import pyvista
+
+    cut = parts[0].append_polydata(*parts[1:]) if parts[1:] else parts[0]
+    cut = cut.clean(point_merging=True, absolute=True, tolerance=MERGED * spacing_mm)
+    if not outer.n_cells:
+        return cut
+    outer = outer.triangulate().clean(point_merging=True)
+    points = np.concatenate([outer.points, cut.points]).astype(np.float64)
+    faces = np.concatenate([outer.regular_faces, cut.regular_faces + outer.n_points]).astype(np.int64)
+    closed, triangles = close_seams(points, faces, first_part=outer.n_points, within=SEAM * spacing_mm)
+    surface = pyvista.PolyData.from_regular_faces(closed, triangles.astype(int))
+    layer = np.concatenate([outer.cell_data["layer"], cut.cell_data["layer"]])
+    surface.cell_data["layer"] = np.pad(layer, (0, len(triangles) - len(layer)))
+    normals = np.concatenate([outer.point_data["Normals"], cut.point_data["Normals"]])
+    surface.point_data["Normals"] = np.pad(normals, ((0, len(closed) - len(normals)), (0, 0)))
+    surface.point_data.active_normals_name = "Normals"
+    return surface
+
+
+def _moved(surface: "pyvista.PolyData", by_m: NDArray[np.float64]) -> "pyvista.PolyData":
+    """A surface with its points moved, in double precision: far from the origin single precision would not do."""
+    moved = surface.copy()
+    moved.points = np.asarray(surface.points, dtype=np.float64) + 1e3 * by_m
+    return moved
+
+
+def _at_origin(volume: VoxelVolume) -> VoxelVolume:
+    """A volume whose first corner is the origin."""
+    return replace(volume, origin_m=np.zeros(3))
+
+
+def removed_surface(bone: VoxelBone) -> "pyvista.PolyData":
+    """Surface of what tools have taken away [mm], empty where nothing was; with the cell array ``layer``."""
+    import pyvista
+
+    parts = [_padded(bone.whole, removed=True)] if bone.on_demand is None else bone.cut_parts()
+    surfaces = []
+    for volume, left in parts:
+        near = _at_origin(volume)
+        surface = _contour(near, left if bone.on_demand is None else volume.fraction - left)
+        if surface.n_cells:
+            surfaces.append(_moved(_shaded(with_layers(surface, near)), volume.origin_m))
+    if not surfaces:
+        return pyvista.PolyData()
+    whole = surfaces[0].append_polydata(*surfaces[1:]) if surfaces[1:] else surfaces[0]
+    return whole.clean(point_merging=True, absolute=True, tolerance=MERGED * 1e3 * bone.store.grid.spacing_m)
+
+
+def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **options: Any) -> Any:
+    """Show a surface coloured by layer, as ``surface.plot`` does; `options` are pyvista's.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to show.
+    """
+    from matplotlib.colors import ListedColormap
+
+    from meshes.base.errors import InputError
+    from tissue.show.figures.figure import BONE, layer_colours
+
+    if not surface.n_cells:
+        raise InputError("bone must have been cut to show what was removed, got an uncut one: cut it first")
+    look: dict[str, Any] = {"interpolation": "Phong", "show_axes": True}
+    if len(layer_names) == 1:
+        look |= {"color": BONE}
+    else:
+        look |= {
+            "scalars": "layer",
+            "cmap": ListedColormap(list(layer_colours(layer_names).values())),
+            "clim": (-0.5, len(layer_names) - 0.5),
+            "annotations": dict(enumerate(layer_names)),
+            "scalar_bar_args": {"title": "layer", "n_labels": 0},
+        }
+    with quiet_without_display():
+        return surface.plot(**(look | options))
+
+
+def _shaded(
+    surface: "pyvista.PolyData", *, like: "pyvista.PolyData | None" = None, within_mm: float = 0.0
+) -> "pyvista.PolyData":
+    """A surface of voxels, shaded by its shape and not by their steps, and where it is as it was like the file's."""
+    import pyvista
+
+    if not surface.n_cells:
+        return surface
+    normals = smooth_normals(surface)
+    if like is not None:
+        points = pyvista.PolyData(np.asarray(surface.points))
+        found = points.sample(like, tolerance=within_mm, pass_cell_data=False)
+        there, theirs = np.asarray(found.point_data["vtkValidPointMask"]) > 0, np.asarray(found.point_data["Normals"])
+        there &= np.einsum("ij,ij->i", theirs, normals) > AGREE
+        normals[there] = theirs[there]
+    surface.point_data["Normals"] = normals
+    surface.point_data.active_normals_name = "Normals"
+    return surface
+
+
+def _contour(volume: VoxelVolume, fraction: NDArray[np.uint8]) -> "pyvista.PolyData":
+    """Surface where voxels are half full, between their centres, in mm; open where the voxels end."""
+    import pyvista
+    from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
+
+    spacing = 1e3 * volume.spacing_m
+    origin = 1e3 * volume.origin_m + 0.5 * spacing
+    image = pyvista.ImageData(dimensions=fraction.shape, spacing=(spacing,) * 3, origin=origin)
+    image.point_data["fraction"] = fraction.ravel(order="F")
+    edges = vtkFlyingEdges3D()
+    edges.SetInputData(image)
+    edges.SetValue(0, 0.5 * FULL)
+    edges.ComputeNormalsOn()
+    edges.ComputeScalarsOff()
+    edges.Update()
+    surface: pyvista.PolyData = pyvista.wrap(edges.GetOutput())
+    return surface
+
+
+def _padded(
+    whole: tuple[VoxelVolume, NDArray[np.uint8]], *, removed: bool = False
+) -> tuple[VoxelVolume, NDArray[np.uint8]]:
+    """A volume with a layer of air around it, and what is left of it or was removed from it."""
+    volume, left = whole
+    shown = volume.fraction - left if removed else left
+    padded = VoxelVolume(
+        volume.origin_m - volume.spacing_m,
+        volume.spacing_m,
+        np.pad(volume.fraction, 1),
+        np.pad(volume.layer, 1),
+        np.pad(volume.density_kg_m3, 1),
+        volume.layer_names,
+    )
+    return padded, np.pad(shown, 1)
+
+
+def _without(outer: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyData":
+    """A surface outside the box of a volume's voxel centres [mm]."""
+    if not outer.n_cells:
+        return outer
+    low = 1e3 * (volume.origin_m + 0.5 * volume.spacing_m)
+    high = low + 1e3 * volume.spacing_m * (np.array(volume.shape) - 1)
+    bounds = np.column_stack([low, high]).ravel().tolist()
+    return outer.clip_box(bounds, invert=True).extract_surface(algorithm="dataset_surface")
+
+
+class Removed:
+    """What tools have taken away from a bone, as it is when it is asked."""
+
+    def __init__(self, bone: VoxelBone) -> None:
+        self._bone = bone
+
+    @property
+    def by_layer_mm3(self) -> dict[str, float]:
+        """Volume taken from each layer [mm3]."""
+        volumes = 1e9 * self._bone.removed_m3
+        return dict(zip(self._bone.store.grid.layer_names, volumes.tolist(), strict=True))
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume taken from all layers [mm3]."""
+        return sum(self.by_layer_mm3.values())
+
+    def surface(self) -> "pyvista.PolyData":
+        """Surface of what was taken away [mm], with the cell array ``layer``; empty before the first cut."""
+        return removed_surface(self._bone)
+
+    def plot(self, **options: Any) -> Any:
+        """Show what was taken away, by layer; `options` are those of ``pyvista.PolyData.plot``."""
+        return plot_surface(self.surface(), self._bone.store.grid.layer_names, **options)
+
+    def __repr__(self) -> str:
+        parts = ", ".join(f"{volume:.4g} mm3 of {name}" for name, volume in self.by_layer_mm3.items())
+        return f"Removed({parts})"

@@ -1,0 +1,253 @@
+"""Several runs beside each other: what differs in their scenes, their figures, and their forces in one picture."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from meshes.base.errors import InputError
+from tissue.evaluation.same_task import path_note
+from tissue.objects.html import figures_of, table_html
+from tissue.objects.run import Run, open_run
+from tissue.objects.trace import needed
+from tissue.scene.scene import Scene
+from tissue.system.owned_folder import owned_folder, require_folder
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas
+    from numpy.typing import NDArray
+
+__all__ = ["Comparison", "Over", "compare", "entries_of"]
+
+Over = Literal["time", "depth"]
+FILES = ("compare.csv", "compare.png")
+KIND = "comparison"
+"""Kind of output in the marker of the folder."""
+LONGEST_VALUE = 60
+"""Letters of a scene's entry that a line shows."""
+OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
+"""What of a summary changes a run, or its ticks, beside the scene."""
+
+
+class Comparison:
+    """Runs beside each other; the first is what the others are held against.
+
+    Parameters
+    ----------
+    runs
+        The runs by name, two at least.
+
+    Attributes
+    ----------
+    runs
+        The runs by name.
+    figures
+        By run, its figures: peak and mean force, removed volume and so on, the unit in each name.
+    scene_differences
+        Keys of the scenes that differ, with the value that each run has; None where it has none.
+    notes
+        What else makes them hard to compare, a sentence each.
+    """
+
+    def __init__(self, runs: Mapping[str, Run]) -> None:
+        if len(runs) < 2:
+            raise InputError(f"compare must be given two runs at least, got {len(runs)}: name another one")
+        self.runs = dict(runs)
+        self.figures = {name: figures_of(run.summary) for name, run in runs.items()}
+        self.scene_differences = _differences([run.scene for run in runs.values()])
+        self.notes = list(_notes(self.runs))
+
+    def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
+        """Titles, and for each figure the first run's value, then each other one's, its difference and share of it."""
+        first, *others = self.runs
+        titles = [first, *(title for name in others for title in (name, f"{name} - {first}", f"{name} / {first} - 1"))]
+        found = []
+        for figure in dict.fromkeys(figure for one in self.figures.values() for figure in one):
+            base = self.figures[first].get(figure)
+            values = [base]
+            for name in others:
+                value = self.figures[name].get(figure)
+                apart = None if value is None or base is None else value - base
+                values += [value, apart, None if apart is None or not base else apart / base]
+            found.append((figure, values))
+        return titles, found
+
+    def texts(self) -> tuple[list[str], list[list[str]]]:
+        """Titles and rows of a table to read: each figure, and of other runs how far it is from the first one's."""
+        _, rows = self.rows()
+        found = []
+        for figure, (base, *others) in rows:
+            cells = [_number(base)]
+            for value, share in zip(others[::3], others[2::3], strict=True):
+                cells.append(_number(value) + (f" ({100.0 * share:+.3g} %)" if share else ""))
+            found.append([figure, *cells])
+        return ["figure", *self.runs], found
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Return the table of `rows`, a row for each figure; the scenes' differences are in its ``attrs``.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        titles, rows = self.rows()
+        table = needed("pandas", extra="pandas").DataFrame(
+            [values for _, values in rows], index=[figure for figure, _ in rows], columns=titles, dtype=float
+        )
+        table.attrs["scene_differences"] = self.scene_differences
+        return table.rename_axis(index="figure")
+
+    def plot(self, over: Over = "time") -> "NDArray[np.object_]":
+        """Draw the size of force and torque of all runs, and how far the forces are from the first one's.
+
+        Parameters
+        ----------
+        over
+            ``time``, or ``depth`` of the tool's tip from its first contact, in the first descent.
+
+        Returns
+        -------
+        The panels, shape (3,).
+
+        Raises
+        ------
+        InputError
+            If a run never touches, so that it has no depth.
+        """
+        from tissue.objects.plots import overlay
+
+        return overlay({name: run.trace for name, run in self.runs.items()}, over=over)
+
+    def save(self, out: str | Path, *, over: Over = "time", overwrite: bool = False) -> list[Path]:
+        """Write ``compare.csv`` and ``compare.png`` into a folder; return them.
+
+        Raises
+        ------
+        InputError
+            If the folder holds another comparison.
+        """
+        from matplotlib import pyplot
+
+        from tissue.objects.tables import write_table
+        from tissue.show.figures.figure import save
+
+        out = Path(out)
+        require_folder(out, KIND, FILES, overwrite=overwrite)
+        panels = self.plot(over)
+        titles, rows = self.rows()
+        with owned_folder(out, KIND, FILES, overwrite=overwrite):
+            write_table(out / FILES[0], ["figure", *titles], [[figure, *values] for figure, values in rows])
+            save(panels[0].figure, out / FILES[1])
+        pyplot.close(panels[0].figure)
+        return [out / name for name in FILES]
+
+    def lines(self) -> list[str]:
+        """Return the differences other than figures, a line each."""
+        found = []
+        for key, values in self.scene_differences.items():
+            found.append(
+                f"{key}: " + ", ".join(f"{name} {_short(each)}" for name, each in zip(self.runs, values, strict=True))
+            )
+        return [*(found or ["the scenes are the same"]), *self.notes]
+
+    def __repr__(self) -> str:
+        return f"<comparison of {', '.join(self.runs)}: {len(self.scene_differences)} keys differ>"
+
+    def _repr_html_(self) -> str:
+        titles, rows = self.texts()
+        keys = [[key, *map(_short, values)] for key, values in self.scene_differences.items()]
+        differ = table_html(keys, titles=("key", *self.runs), caption="keys of the scenes that differ") if keys else ""
+        notes = table_html([(note,) for note in self.notes]) if self.notes else ""
+        return f"<div>{table_html(rows, titles=titles)}{differ}{notes}</div>"
+
+
+def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comparison:
+    """Compare runs with the first of them.
+
+    Parameters
+    ----------
+    runs
+        Runs, or folders of runs, two at least.
+    names
+        What they are called; without it after their folders, or their scenes.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, a folder holds no run, or not every run has a name of its own.
+    """
+    held = [each if isinstance(each, Run) else open_run(each) for each in runs]
+    called = _names(held) if names is None else [*names]
+    if len(called) != len(held) or len(set(called)) != len(called):
+        raise InputError(f"names must be one for each of {len(held)} runs, all different, got {called}: mend them")
+    return Comparison(dict(zip(called, held, strict=True)))
+
+
+def entries_of(scene: Scene) -> dict[str, object]:
+    """Return the entries of a scene by dotted key, defaults included, without its name and description."""
+    import tomllib
+
+    return {key: value for key, value in _flat(tomllib.loads(scene.to_toml())) if key not in ("name", "description")}
+
+
+def _number(value: float | None) -> str:
+    """Return a number of a table; nothing where there is none."""
+    return "" if value is None else f"{value:.4g}"
+
+
+def _differences(scenes: list[Scene]) -> dict[str, tuple[object, ...]]:
+    entries = [entries_of(scene) for scene in scenes]
+    keys = dict.fromkeys(key for each in entries for key in each)
+    found = {key: tuple(each.get(key) for each in entries) for key in keys}
+    return {key: values for key, values in found.items() if any(a != b for a, b in pairwise(values))}
+
+
+def _notes(runs: Mapping[str, Run]) -> Iterator[str]:
+    """Yield notes on runs that were cut short, and on differences outside of their scenes."""
+    for name, run in runs.items():
+        if run.status != "complete":
+            yield f"{name} did not come to its end: it is {run.status}"
+        if note := path_note(run.summary):
+            yield f"the path of {name} is {note}"
+    lasted = {name: round(float(run.summary.get("simulated_s", 0.0)), 3) for name, run in runs.items()}
+    if len(set(lasted.values())) > 1:
+        yield "simulated time differs, so that peaks, means and volumes are of runs of different lengths: " + ", ".join(
+            f"{name} {time_s:g} s" for name, time_s in lasted.items()
+        )
+    names = {name: run.scene.name for name, run in runs.items()}
+    if len(set(names.values())) > 1:
+        yield "the runs are of different scenes: " + ", ".join(f"{name} {scene}" for name, scene in names.items())
+    if len({run.scene.constants.key for run in runs.values()}) > 1:
+        yield "the constants of the materials differ: see the key materials of each scene"
+    for entry, words in OUTSIDE.items():
+        values = [str(run.summary.get(entry)) for run in runs.values()]
+        if len(set(values)) > 1:
+            yield f"{words} differs: " + ", ".join(f"{name} {each}" for name, each in zip(runs, values, strict=True))
+
+
+def _names(runs: list[Run]) -> list[str]:
+    """Return the names of runs by their folders or scenes; those that are equal are numbered."""
+    plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
+    count = Counter(plain)
+    seen = Counter[str]()
+    found = []
+    for name in plain:
+        seen[name] += 1
+        found.append(f"{name} {seen[name]}" if count[name] > 1 else name)
+    return found
+
+
+def _flat(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _short(value: object) -> str:
+    text = "-" if value is None else str(value)
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 1]}…"

@@ -1,0 +1,190 @@
+"""What a tool met on a path through bone: force, torque and removed volume at every pose."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from tissue.models.tissue_model import TICK_S
+from tissue.objects.trace import Trace
+from tissue.simulation.loop import Loop
+from tissue.simulation.trace import Table, TraceLayout
+from tissue.simulation.trace_files import write_table
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from matplotlib.figure import Figure
+
+__all__ = ["Cut", "saved_table"]
+
+
+class Cut:
+    """Force, torque and removed volume at every pose of a cut; forces act on the tool, torques about its tip.
+
+    Attributes
+    ----------
+    trace
+        All columns by name, a row a pose: ``cut.trace["force_z_N"]``.
+    notes
+        What was found, by what it is about.
+    pose_us
+        What each pose took to compute [µs], shape (n,).
+    events
+        What has happened, such as a breach of a structure to keep clear of: time [s] and a sentence each.
+    """
+
+    def __init__(self, trace: Table, pose_us: Array, events: Sequence[tuple[float, str]] = ()) -> None:
+        self.trace, self.pose_us = Trace(trace), pose_us
+        self.events = list(events)
+        self.notes: dict[str, str] = {}
+        start_mm3 = float(self.trace["removed_mm3"][0])
+        if start_mm3 > 0.0:
+            self.notes["start"] = (
+                f"the first pose lies inside bone: {start_mm3:.3g} mm3 were taken away there without force; where that "
+                "is not meant, look at the axis, the unit and the frame of the poses"
+            )
+
+    @classmethod
+    def of(cls, loop: Loop, times_s: Array, *, removed_before_m3: Array) -> "Cut":
+        """What a loop over given poses has recorded, at their times [s], without what was removed before."""
+        layout = TraceLayout.of(loop.parts.tissue.layer_names)
+        names = [name for name in loop.trace.columns if not name.startswith("model_")]
+        places = [loop.trace.columns.index(name) for name in names]
+        rows = loop.trace.rows.copy()
+        rows[:, layout.time] = times_s
+        rows[-1, layout.removed_by_layer] = 1e9 * loop.parts.tissue.removed_m3  # a slow cut is spread over ticks
+        rows[:, layout.removed_by_layer] -= 1e9 * removed_before_m3
+        rows[:, layout.removed] = rows[:, layout.removed_by_layer].sum(axis=1)
+        trace = Table(tuple(names), rows[:, places], loop.trace.layer_names)
+        last = len(times_s) - 1
+        events = [(float(times_s[min(round(at_s / TICK_S), last)]), what) for at_s, what in loop.events]
+        return cls(trace, np.asarray(loop.timing["tick_us"]), events)
+
+    def __len__(self) -> int:
+        return len(self.trace.rows)
+
+    @property
+    def times_s(self) -> Array:
+        """Times of the poses [s], shape (n,)."""
+        return np.asarray(self.trace["time_s"])
+
+    @property
+    def tip_mm(self) -> Array:
+        """Tips of the tool [mm], shape (n, 3)."""
+        return self.trace.vectors("tool", "mm")
+
+    @property
+    def force_N(self) -> Array:
+        """Force on the tool [N], shape (n, 3); at the first pose the tool rests: 0."""
+        return self.trace.vectors("force", "N")
+
+    @property
+    def force_magnitude_N(self) -> Array:
+        """Size of the force [N], shape (n,)."""
+        return np.linalg.norm(self.force_N, axis=1)
+
+    @property
+    def torque_Nm(self) -> Array:
+        """Torque about the tip [N m], shape (n, 3)."""
+        return self.trace.vectors("torque", "Nm")
+
+    @property
+    def removed_mm3(self) -> Array:
+        """Volume that this cut has removed up to each pose [mm3], shape (n,)."""
+        return np.asarray(self.trace["removed_mm3"])
+
+    def distance_mm(self, name: str) -> Array:
+        """Distance of the tool from a structure to keep clear of [mm], negative where they overlap, shape (n,).
+
+        Raises
+        ------
+        InputError
+            If no structure of this name was given.
+        """
+        column = f"distance_{name}_mm"
+        if column not in self.trace.columns:
+            raise InputError(f"name must be a structure given as keep_clear, got {name}: give it to Bone.cut")
+        return np.asarray(self.trace[column])
+
+    @property
+    def layer(self) -> NDArray[np.str_]:
+        """Layer in which most of the tool's engaged area lies, "none" without contact, shape (n,)."""
+        return np.asarray(self.trace["layer"])
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """All columns as a table, a row a pose; see `tissue.objects.trace.Trace.to_pandas`."""
+        return self.trace.to_pandas()
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """All columns over the time; see `tissue.objects.trace.Trace.to_xarray`."""
+        return self.trace.to_xarray()
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write all columns to a file, its kind by the suffix: .csv, .mat (MATLAB), .npz, .parquet or .h5.
+
+        Raises
+        ------
+        InputError
+            If the suffix is none of these, its writer is not installed, or the file is there and `overwrite` is not
+            given.
+        """
+        return saved_table(self.trace, path, overwrite=overwrite)
+
+    def plot(self, *, over: "Figure | None" = None, label: str | None = None) -> "Figure":
+        """Force and torque over time, a panel each: their components and size, or with a label their size alone.
+
+        Parameters
+        ----------
+        over
+            Figure of an earlier plot, to draw this cut into: ``b.plot(over=a.plot(label="a"), label="b")``.
+        label
+            Name of this cut in the legend.
+        """
+        import matplotlib.pyplot as plt
+
+        from tissue.show.figures.figure import COMPONENTS
+
+        if over is None:
+            figure, panels = plt.subplots(2, 1, sharex=True, figsize=(7.0, 4.5), layout="constrained")
+        else:
+            figure, panels = over, over.axes
+        shown = (self.force_N, "force / N"), (self.torque_Nm, "torque / N m")
+        for panel, (values, what) in zip(panels, shown, strict=True):
+            if label is None:
+                for axis, column, colour in zip("xyz", values.T, COMPONENTS, strict=True):
+                    panel.plot(self.times_s, column, color=colour, linewidth=1.0, label=axis)
+            look = {"color": "0.2", "label": "size"} if label is None else {"label": label}
+            panel.plot(self.times_s, np.linalg.norm(values, axis=1), linewidth=1.0, **look)
+            panel.set_ylabel(what)
+            panel.grid(visible=True, alpha=0.3)
+        panels[0].legend(ncols=4, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        panels[-1].set_xlabel("time / s")
+        return figure
+
+    def __repr__(self) -> str:
+        force = self.force_magnitude_N
+        return (
+            f"Cut({len(self)} poses in {self.times_s[-1] - self.times_s[0]:.4g} s, {self.removed_mm3[-1]:.4g} mm3 "
+            f"removed, peak force {force.max():.3g} N, {np.median(self.pose_us):.0f} us a pose"
+            f"{''.join(f'; {note}' for note in self.notes.values())})"
+        )
+
+
+def saved_table(trace: Table, path: str | Path, *, overwrite: bool) -> Path:
+    """Write columns to a file, its kind by the suffix, and return its path.
+
+    Raises
+    ------
+    InputError
+        If the suffix is unknown, its writer is not installed, or the file is there and `overwrite` is not given.
+    """
+    path = Path(path)
+    if path.exists() and not overwrite:
+        raise InputError(f"path must not exist, got {path}: choose another, or pass overwrite=True")
+    write_table(trace, path)
+    return path

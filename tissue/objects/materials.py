@@ -1,0 +1,86 @@
+"""The cited constants of materials as a person looks them up."""
+
+from typing import TYPE_CHECKING
+
+from meshes.base.errors import InputError
+from tissue.materials.constants import Constant, constants, listed
+from tissue.objects.html import table_html
+from tissue.objects.trace import needed
+from tissue.scene.named_parts import nearest
+
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["Material", "material", "material_names"]
+
+TABLES = ("cutting", "tooth", "soft", "needle")
+"""Data files that hold materials."""
+CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
+TITLES = ("constant", "value", "lowest", "highest", "confidence", "source")
+
+
+class Material(dict[str, Constant]):
+    """Constants of a material by their names with units: ``tissue.material("enamel")["modulus_GPa"].value``.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
+        for table in TABLES:
+            if name in listed(table):
+                self.update(constants(table, name))
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Value, range, confidence and source of each constant.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        table = needed("pandas", extra="pandas").DataFrame(self._rows(), columns=TITLES)
+        return table.set_index("constant").rename_axis(columns=self.name)
+
+    def _rows(self) -> list[tuple[str, float, float, float, str, str]]:
+        return [
+            (name, one.value, one.low, one.high, CONFIDENCE.get(one.confidence, one.confidence), one.source)
+            for name, one in self.items()
+        ]
+
+    def __repr__(self) -> str:
+        return f"<{self.name}: {', '.join(f'{name} {one.value:g}' for name, one in self.items())}>"
+
+    def _repr_html_(self) -> str:
+        rows = [[f"{each:g}" if isinstance(each, float) else each for each in row] for row in self._rows()]
+        return table_html(rows, titles=TITLES, caption=self.name)
+
+
+def material(name: str) -> Material:
+    """Cited constants of a material.
+
+    Parameters
+    ----------
+    name
+        One of `material_names`.
+
+    Raises
+    ------
+    InputError
+        If there is no such material.
+    """
+    known = material_names()
+    if name not in known:
+        raise InputError(
+            f"material must be one of {', '.join(known)}, got {name}{nearest(name, known)}: choose a listed one"
+        )
+    return Material(name)
+
+
+def material_names() -> list[str]:
+    """Names of the materials whose constants are cited, registered ones included."""
+    return list(dict.fromkeys(name for table in TABLES for name in listed(table)))

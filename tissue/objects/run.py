@@ -1,0 +1,283 @@
+"""A run with its plots, 3D view and bands: `tissue.Run`."""
+
+from collections.abc import Iterable
+from contextlib import suppress
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress
+from tissue.objects.html import run_html, run_line
+from tissue.objects.progress import Bar, reporting
+from tissue.objects.trace import Trace
+from tissue.simulation import run as engine
+from tissue.simulation.run_folder import picture_format
+from tissue.simulation.run_summary import Summary, summary_of
+
+if TYPE_CHECKING:
+    import pandas
+    import pyvista
+    import xarray
+    from matplotlib.axes import Axes
+
+    from tissue.fitting.bands.band import Band
+
+__all__ = ["Run", "open_run"]
+
+
+class Run(engine.Run):
+    """A run, as `tissue.simulate` returns it and `Run.load` reads it back.
+
+    Parameters
+    ----------
+    simulated
+        Run of the engine.
+
+    Attributes
+    ----------
+    path
+        Folder of the run; None before it is saved.
+    """
+
+    _band: "Band | None" = None
+    _shown: "TemporaryDirectory[str] | None" = None
+
+    def __init__(self, simulated: engine.Run) -> None:
+        vars(self).update(vars(simulated))
+        self.trace = Trace(simulated.trace)
+        self.timing = Trace(simulated.timing)
+
+    @cached_property
+    def trace(self) -> Trace:
+        """One row a tick, columns by name: ``run.trace["force_z_N"]``."""
+        return Trace(super().trace)
+
+    @cached_property
+    def timing(self) -> Trace:
+        """Duration of each tick and of its stages [µs], columns by name: ``run.timing["tick_us"]``."""
+        return Trace(super().timing)
+
+    @property
+    def summary(self) -> Summary:
+        """Figures of the run, as in ``summary.json``: volumes by layer, forces, cost of the ticks, the band."""
+        return super().summary | ({} if self._band is None else {"band": self._band.summary})
+
+    def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
+        """Return the tissue as a pyvista data set, in the scene's frame in mm.
+
+        Voxels: an image with the cell arrays start and remaining (255 = full), layer, density_kg_m3. Those that are
+        less than half full are hidden by the cell array ``vtkGhostType``, so that ``run.dataset().plot()`` shows the
+        bone. Elements: the mesh of the last frame with its fields.
+
+        Raises
+        ------
+        InputError
+            If the tissue has neither.
+        """
+        from tissue.objects.show import with_empty_hidden
+
+        return with_empty_hidden(super().dataset())
+
+    def surface(self) -> "pyvista.PolyData":
+        """Return the surface of the carved bone [mm]: point array ``removed_depth_mm``, cell array ``layer``.
+
+        Raises
+        ------
+        InputError
+            If the tissue has no voxels.
+        """
+        from tissue.simulation.bone_files import carved_surface
+
+        return carved_surface(self)
+
+    def save(
+        self,
+        out: str | Path,
+        *,
+        formats: Iterable[str] = (),
+        pictures: bool | str = True,
+        overwrite: bool = False,
+        progress: Progress | None = None,
+    ) -> Path:
+        """Write the run's folder and its band; see `tissue.simulation.run.Run.save`."""
+        self.path = super().save(out, formats=formats, pictures=pictures, overwrite=overwrite, progress=progress)
+        self._save_band(pictures)
+        return self.path
+
+    def _save_band(self, pictures: bool | str) -> None:
+        """Write the band into the run's folder, if there are both."""
+        if self._band is not None and self.path is not None:
+            from tissue.fitting.bands.band_files import save_band
+
+            save_band(self._band, self.path, kind=picture_format(pictures))
+
+    def _folder(self) -> Path:
+        """Return a folder with this run's files: its own, or a temporary one if that holds another run by now."""
+        if self._saved is not None:
+            return self._saved.path
+        if self.path is not None and summary_of(self.path) == self.summary:
+            return self.path
+        if self._shown is None:
+            self._shown = TemporaryDirectory(prefix="tissue-", ignore_cleanup_errors=True)
+            super().save(self._shown.name, pictures=False)
+        return Path(self._shown.name)
+
+    def plot(self, columns: Iterable[str] | None = None, *, ax: "Axes | None" = None) -> "NDArray[np.object_]":
+        """Plot columns of the trace over time, by default force and torque on the tool, with the run's events.
+
+        Parameters
+        ----------
+        columns
+            Columns of numbers, such as ``["removed_mm3", "contact_mm2"]``; those of one unit share a panel.
+        ax
+            Axes of matplotlib to draw on, for columns of one unit; without it a new figure is made.
+
+        Returns
+        -------
+        The panels, shape (panels,); ``run.plot()[0].figure`` is the figure.
+
+        Raises
+        ------
+        InputError
+            If there is no such column.
+        """
+        from tissue.objects.plots import plot_columns
+
+        return plot_columns(self.trace, self.events, title=self._title, columns=columns, ax=ax)
+
+    def show(
+        self,
+        time_s: float | None = None,
+        *,
+        field: str | None = None,
+        hide: tuple[str, ...] = (),
+        scale: float = 1.0,
+        interactive: bool | None = None,
+        screenshot: str | Path | None = None,
+    ) -> Any:
+        """Show the run in 3D: bone or fields, the tool on its path, and its force.
+
+        Parameters
+        ----------
+        time_s
+            The moment [s]; without it that of the greatest force.
+        field
+            Field in place of the bone, ``von_mises_MPa`` for one.
+        hide
+            Layers that are left out.
+        scale
+            How many times its size the displacement is drawn.
+        interactive
+            Whether it can be turned by the mouse: in a notebook where the extra ``notebook`` is installed, in a script
+            in a window, as `tissue view` opens it, where there is a display. Without it, it is so where it can be.
+        screenshot
+            PNG file to write; an existing one is replaced.
+
+        Returns
+        -------
+        A still picture, which a notebook shows, with its pixels as ``array``; in a notebook that can, what is turned by
+        the mouse; None of a window, after it was closed.
+
+        Raises
+        ------
+        InputError
+            If there is nothing to show, no such layer, field or moment, no display, or 3D cannot be drawn.
+        """
+        from tissue.objects.show import show_folder
+
+        file = None if screenshot is None else Path(screenshot)
+        chosen = {"time_s": time_s, "field": field, "hide": hide, "scale": scale}
+        return show_folder(self._folder(), chosen, interactive=interactive, screenshot=file)
+
+    def band(
+        self,
+        samples: int | None = None,
+        *,
+        seed: int | None = None,
+        workers: int | None = None,
+        scheduler: str | None = None,
+        each_run: bool = False,
+        compute: str = "cpu",
+        cores: int | None = None,
+        pictures: bool | str = True,
+        progress: Bar = None,
+    ) -> "Band":
+        """Compute loads and figures over the ranges of the constants; see docs/guide/bands.md.
+
+        Parameters
+        ----------
+        samples
+            Samples of the constants, rounded up to a power of two; None reads the band that was computed before.
+        seed
+            Seed of the samples; default that of the scene.
+        workers
+            Processes that run samples in parallel, if each sample is a run, as for a needle. A script that asks for
+            several must begin below ``if __name__ == "__main__":``.
+        scheduler
+            Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``, whose workers run samples instead.
+        each_run
+            Run every sample where reweighing the loads would do, so that temperature and stress have bands too.
+        compute, cores, progress
+            As for `tissue.simulate`.
+        pictures
+            Whether pictures are drawn, or their format, png, svg or pdf; a run that lies in a folder has its band
+            written there, another one where it is saved.
+
+        Raises
+        ------
+        InputError
+            If there is no band to read, or none can be made: no constant has a range, the number of samples is none of
+            16 to 65536, more than a tenth of them fail, or the run was stopped early.
+        """
+        if samples is None:
+            if self._band is None:
+                from tissue.fitting.bands.band_files import read_band
+
+                self._band = read_band(self._folder())
+            return self._band
+        from tissue.fitting.bands.band import band_of, require_same
+
+        with reporting(progress) as report:
+            made = band_of(
+                self.scene, samples, seed=seed, workers=workers, scheduler=scheduler, each_run=each_run,
+                compute=compute, cores=cores, progress=report,
+            )  # fmt: skip
+        require_same(
+            made, np.hstack([self.trace.vectors("model_force", "N"), self.trace.vectors("model_torque", "Nm")])
+        )
+        self._band = made
+        self._save_band(pictures)
+        return made
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Return the trace, a row a tick, with the scene's name in ``attrs``; see `Trace.to_pandas`."""
+        table = self.trace.to_pandas()
+        table.attrs["scene"] = self.scene.name
+        return table
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return the trace over ``time_s``, with the scene's name in ``attrs``; see `Trace.to_xarray`."""
+        return self.trace.to_xarray().assign_attrs(scene=self.scene.name)
+
+    @property
+    def _title(self) -> str:
+        return str(self.summary.get("scene", "run"))
+
+    def __repr__(self) -> str:
+        return f"<tissue.Run {', '.join(run_line(self.summary))}>"
+
+    def _repr_html_(self) -> str:
+        size = np.zeros(0)
+        with suppress(InputError):  # of a run that was stopped early there may be no trace
+            size = np.linalg.norm(self.trace.vectors("model_force", "N"), axis=1)
+        return run_html(self.summary, self.events, size)
+
+
+def open_run(path: str | Path) -> Run:
+    """Read a run back from its folder; the same as `Run.load`."""
+    return Run.load(path)

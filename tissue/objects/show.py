@@ -1,0 +1,127 @@
+"""A run in 3D: a window in a script, an interactive view in a notebook, or a still picture."""
+
+import sys
+import warnings
+from importlib import import_module
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.base.whole_file import whole_file
+from tissue.simulation.depth_map import HALF
+from tissue.system.offscreen import display_problem
+
+__all__ = ["Picture", "in_notebook", "is_interactive", "show_folder", "with_empty_hidden"]
+
+BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
+"""Modules by which pyvista 0.49 and older ones let a notebook turn a picture by the mouse: the extra ``notebook``."""
+
+
+def in_notebook() -> bool:
+    """Return whether a Jupyter kernel runs this."""
+    module = sys.modules.get("IPython")
+    shell: Any = module.get_ipython() if module is not None else None
+    return shell is not None and hasattr(shell, "kernel")
+
+
+def is_interactive() -> bool:
+    """Return whether the packages for interactive views in a notebook are installed."""
+    for name in BACKENDS:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # the second name is an old one
+                import_module(name)
+        except ImportError:
+            continue
+        return True
+    return False
+
+
+WIDE_PX = 800
+"""Widest that a notebook shows a picture [px]."""
+
+
+class Picture:
+    """A still picture: a notebook shows it, ``array`` has its pixels, `save` writes it.
+
+    Parameters
+    ----------
+    png
+        Contents of a PNG file.
+    """
+
+    def __init__(self, png: bytes) -> None:
+        self._png = png
+
+    @property
+    def array(self) -> NDArray[np.uint8]:
+        """Red, green and blue of its pixels, 0 to 255, shape (height, width, 3)."""
+        from matplotlib.image import imread
+
+        return np.rint(255.0 * imread(BytesIO(self._png), format="png")[..., :3]).astype(np.uint8)
+
+    def save(self, path: str | Path) -> Path:
+        """Write a PNG file; one that is there is replaced."""
+        with whole_file(Path(path)) as temporary:
+            temporary.write_bytes(self._png)
+        return Path(path)
+
+    def __repr__(self) -> str:
+        height, width, _ = self.array.shape
+        return f"<picture of {width} x {height} pixels>"
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        return self._png, {"width": min(self.array.shape[1], WIDE_PX)}
+
+
+GHOSTS, HIDDEN = "vtkGhostType", 32
+"""Cell array by which VTK leaves cells out, and its bit for hidden ones (vtkDataSetAttributes::HIDDENCELL)."""
+
+
+def with_empty_hidden(data: Any) -> Any:
+    """Hide voxels that are less than half full from filters and pictures. A mesh is returned unchanged."""
+    if "remaining" in data.cell_data:
+        empty = np.asarray(data.cell_data["remaining"]) < HALF
+        data.cell_data[GHOSTS] = np.where(empty, HIDDEN, 0).astype(np.uint8)
+        data.set_active_scalars("layer", preference="cell")
+    return data
+
+
+def show_folder(folder: Path, chosen: dict[str, Any], *, interactive: bool | None, screenshot: Path | None) -> Any:
+    """Show the run of a folder, with the moment and so on that were chosen; see `tissue.objects.run.Run.show`."""
+    from tissue.show.viewer.view import view
+
+    notebook = in_notebook()
+    if interactive is None:
+        interactive = screenshot is None and (is_interactive() if notebook else display_problem() is None)
+    elif interactive and screenshot is not None:
+        raise InputError(f"screenshot must be left out with interactive, got {screenshot}: leave one of them out")
+    if interactive and not notebook:
+        view(folder, **chosen)
+        return None
+    if interactive and not is_interactive():
+        raise InputError(
+            "trame must be installed to turn a picture in a notebook, got none: pip install 'tissue-sim[notebook]'"
+        )
+    with TemporaryDirectory(prefix="tissue-") as place:
+        file = screenshot or Path(place) / "shown.png"
+        # It draws in a process of its own, and therefore also checks whether this machine can draw.
+        view(folder, screenshot=file, overwrite=True, **chosen)
+        still = Picture(file.read_bytes())
+    return _turned(folder, chosen) if interactive else still
+
+
+def _turned(folder: Path, chosen: dict[str, Any]) -> Any:
+    """Return the interactive view of a notebook, drawn by this process."""
+    from tissue.show.viewer.run_scene import Choice
+    from tissue.show.viewer.window import Window
+    from tissue.simulation.run_folder import SavedRun
+
+    saved = SavedRun(folder)
+    window = Window(saved, str(saved.summary.get("scene", "run")), Choice(**chosen), off_screen=True)
+    return window.plotter.show(jupyter_backend="server", jupyter_kwargs={"collapse_menu": True}, return_viewer=True)

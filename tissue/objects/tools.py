@@ -1,0 +1,101 @@
+"""Tools that press, each a small object: the shapes that a scene's `tool.kind` names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from meshes.base.errors import names_of_caller, require_positive, require_range
+
+if TYPE_CHECKING:
+    import pyvista
+
+    from tissue.models.organ.probe import ProbeShape
+    from tissue.scene.tool import Probe
+
+__all__ = ["PressingTool", "ball", "flat_punch", "probe_from_file"]
+
+SIZES_MM = (0.5, 100.0)
+"""Diameters that a scene's probe may have [mm]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PressingTool:
+    """A rigid tool that presses; `ball`, `flat_punch` and `probe_from_file` make one."""
+
+    probe: Probe
+    name: str
+
+    def __repr__(self) -> str:
+        return self.name
+
+    @cached_property
+    def shape(self) -> ProbeShape:
+        """What the contact asks of it."""
+        from tissue.simulation.builders.probe import probe_of
+
+        keys = {f"tool.{key}": key for key in ("file", "scale_mm", "diameter_mm")}
+        with names_of_caller(keys):
+            return probe_of(self.probe)
+
+    @property
+    def surface(self) -> pyvista.PolyData:
+        """Its surface in its own frame [mm]: the tip at the origin, z from the tip to the shank."""
+        from tissue.show.figures.tool_mesh import tool_surface
+
+        drawn = tool_surface(self.probe)
+        assert drawn is not None
+        return drawn
+
+
+def ball(*, diameter_mm: float) -> PressingTool:
+    """A rigid ball.
+
+    >>> import tissue
+    >>> tissue.ball(diameter_mm=12)
+    ball(diameter_mm=12)
+    """
+    return _round("sphere-probe", "ball", diameter_mm)
+
+
+def flat_punch(*, diameter_mm: float) -> PressingTool:
+    """The flat end of a rigid cylinder, its edge rounded by a tenth of its radius, by 0.5 mm at most.
+
+    >>> import tissue
+    >>> tissue.flat_punch(diameter_mm=8)
+    flat_punch(diameter_mm=8)
+    """
+    return _round("cylinder-probe", "flat_punch", diameter_mm)
+
+
+def probe_from_file(file: str | Path, *, scale_mm: float = 1.0) -> PressingTool:
+    """A rigid tool of any shape: a closed surface whose origin is the tip and whose z axis runs to the shank.
+
+    Parameters
+    ----------
+    file
+        STL, OBJ, PLY, VTK or VTP.
+    scale_mm
+        Millimetres per unit of the file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or holds no closed surface.
+    """
+    from tissue.scene.tool import probe_part
+
+    scale = require_positive("scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres")
+    stated = probe_part(kind="shell-probe", file=str(file), scale_mm=scale)
+    tool = PressingTool(stated, f"probe_from_file({str(file)!r}, scale_mm={scale:g})")
+    tool.shape  # noqa: B018 - what cannot be used is refused here
+    return tool
+
+
+def _round(kind: str, name: str, diameter_mm: float) -> PressingTool:
+    from tissue.scene.tool import probe_part
+
+    diameter = require_range("diameter_mm", diameter_mm, *SIZES_MM, "a fingertip has about 16")
+    return PressingTool(probe_part(kind=kind, diameter_mm=diameter), f"{name}(diameter_mm={diameter:g})")

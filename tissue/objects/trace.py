@@ -1,0 +1,139 @@
+"""The trace and the timing as a notebook holds them: columns by name, also as pandas, xarray and HTML."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from tissue.objects.html import scrolled, table_html
+from tissue.simulation.trace import NO_LAYER, Table
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+__all__ = ["Trace", "label_of", "needed", "unit_of"]
+
+UNITS = {
+    "mm3_s": "mm³/s", "mm_s": "mm/s", "rad_s": "rad/s", "N_mm": "N/mm", "mm3": "mm³", "mm2": "mm²", "mm": "mm",
+    "um": "µm", "Nm": "N m", "mN": "mN", "N": "N", "mJ": "mJ", "J": "J", "us": "µs", "ms": "ms", "s": "s", "W": "W",
+    "kPa": "kPa", "MPa": "MPa", "Pa": "Pa", "C": "°C", "K": "K", "Hz": "Hz", "percent": "%",
+}  # fmt: skip
+"""Units that end a column's name, the longer ones first, and how they are written."""
+SHOWN_ROWS = 5
+"""First and last rows that a notebook shows."""
+
+
+class Trace(dict[str, NDArray[Any]], Table):
+    """Columns by name over the ticks, one row a tick: ``run.trace["force_z_N"]``; the unit ends the name.
+
+    It is a ``dict``, so that ``pandas.DataFrame(run.trace)`` is the table. The column ``layer`` holds names.
+
+    Parameters
+    ----------
+    table
+        The engine's table.
+
+    Attributes
+    ----------
+    columns
+        Names of the columns.
+    rows
+        Values, shape (ticks, columns); ``layer`` as an index into ``layer_names``, -1 for none.
+    layer_names
+        Names of the layers.
+    """
+
+    def __init__(self, table: Table) -> None:
+        Table.__init__(self, table.columns, table.rows, table.layer_names)
+        dict.__init__(self, {name: table[name] for name in table.columns})
+
+    def __missing__(self, name: str) -> NDArray[Any]:
+        return Table.__getitem__(self, name)  # raises, and lists the known ones
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The table, a row a tick, layers as categories; units stay in the columns' names.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        pandas = needed("pandas", extra="pandas")
+        columns: dict[str, Any] = dict(self)
+        if "layer" in columns:
+            columns["layer"] = pandas.Categorical(columns["layer"], categories=[*self.layer_names, NO_LAYER])
+        return pandas.DataFrame(columns).rename_axis(index="tick")
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """A variable for each column over the dimension ``time_s``; each has its unit as the attribute ``units``.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+        """
+        xarray = needed("xarray", extra="pandas")
+        over = "time_s" if "time_s" in self else "tick"
+        found = xarray.Dataset(
+            {
+                name: (over, values, {"long_name": label_of(name), **_units(name)})
+                for name, values in self.items()
+                if name != over
+            },
+            coords={over: self[over] if over in self else np.arange(len(self.rows))},
+        )
+        found[over].attrs.update({"long_name": "time", "units": "s"} if over == "time_s" else {"long_name": "tick"})
+        return found
+
+    def __repr__(self) -> str:
+        return f"<{len(self.rows)} ticks of {len(self)} columns: {', '.join(self)}>"
+
+    def _repr_html_(self) -> str:
+        count = len(self.rows)
+        cut = count > 2 * SHOWN_ROWS + 1
+        picked = [*range(SHOWN_ROWS), *range(count - SHOWN_ROWS, count)] if cut else list(range(count))
+        rows = [[_cell(values[row]) for values in self.values()] for row in picked]
+        if cut:
+            rows.insert(SHOWN_ROWS, ["…"] * len(self))
+        titles = [label_of(name) + (f" / {unit}" if (unit := unit_of(name)) else "") for name in self]
+        return scrolled(table_html(rows, titles=titles, numbers=True)) + f"<p>{count} ticks, {len(self)} columns</p>"
+
+
+def unit_of(column: str) -> str:
+    """Unit of a column by the end of its name, ``mm/s`` of ``velocity_x_mm_s``; empty where it has none."""
+    return next((shown for unit, shown in UNITS.items() if column.endswith(f"_{unit}")), "")
+
+
+def label_of(column: str) -> str:
+    """A column's name in words, without its unit: ``model force z`` of ``model_force_z_N``."""
+    unit = next((unit for unit in UNITS if column.endswith(f"_{unit}")), "")
+    return column.removesuffix(f"_{unit}" if unit else "").replace("_", " ")
+
+
+def needed(name: str, *, extra: str) -> Any:
+    """A module that an extra installs.
+
+    Raises
+    ------
+    InputError
+        If it is not installed; the message holds the line that installs it.
+    """
+    from importlib import import_module
+
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as missing:
+        if missing.name is None or missing.name.split(".")[0] != name.split(".")[0]:
+            raise
+        raise InputError(f"{name} must be installed for this, got none: pip install 'tissue-sim[{extra}]'") from None
+
+
+def _units(column: str) -> dict[str, str]:
+    unit = unit_of(column)
+    return {"units": unit} if unit else {}
+
+
+def _cell(value: object) -> str:
+    return f"{value + 0.0:.5g}" if isinstance(value, float) else str(value)

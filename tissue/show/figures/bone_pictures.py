@@ -1,0 +1,311 @@
+"""Figures of carved bone: before and after in 3D, and the map of removed depth."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.voxels.volume import VoxelVolume
+from tissue.scene.tool import Tool
+from tissue.show.figures.figure import (
+    BONE,
+    DEPTH_COLOURS,
+    EDGE,
+    axis_names,
+    depth_limit,
+    draw_arrow,
+    draw_outline,
+    figure,
+    halo,
+    layer_colours,
+    save,
+    styled,
+)
+from tissue.show.figures.rendering import Camera, Shaded, draw_axes, draw_shaded, paint
+from tissue.show.figures.section import plane_of
+from tissue.show.figures.tool_mesh import pose, spin_arc_mm, tool_turns
+from tissue.simulation.bone_surface import bone_surface, cut_out, smooth_normals, with_depth, with_layers
+from tissue.simulation.builders.voxels import reach
+from tissue.simulation.depth_map import HALF, DepthMap
+from tissue.simulation.run import Run
+
+if TYPE_CHECKING:
+    import pyvista
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.typing import LineStyleType
+
+__all__ = ["draw_before_after", "draw_removed_depth", "shown_mm"]
+
+HEIGHTS_PX = 64, 170
+"""Above and below the renderings [pixel]."""
+TILT_DEG, OPENED_DEG = (36.0, 12.0), (58.0, 12.0)
+"""How far the eye turns down and to the side from the tool's axis, and where the bone is cut open."""
+DEEP = 0.5
+"""A cut deeper than this share of its narrower side is cut open: from the tool's side its bottom is not seen."""
+CUT_OUT = (0.82, 0.82, 0.85)
+"""Colour of faces where the simulated region ends and the bone goes on."""
+MOST_POINTS = 20_000
+WIDEST_ARC = 0.4
+"""Widest arrow around the tool's axis, as a share of the picture's height."""
+
+
+@dataclass(frozen=True)
+class _View:
+    """Bone before and after a run, cut open where needed, and the view of it.
+
+    Attributes
+    ----------
+    volume, remaining
+        The bone before and after, without what lies before the plane.
+    depth
+        Where the tool came from.
+    plane
+        World axis at right angles to the plane where the bone is cut open, and its place there [mm]; None if it is not.
+    """
+
+    volume: VoxelVolume
+    remaining: NDArray[np.uint8]
+    depth: DepthMap
+    plane: tuple[int, float] | None
+
+    @classmethod
+    def of(cls, run: Run, depth: DepthMap) -> "_View":
+        """Return the whole bone, or the half behind the deepest point of a deep and narrow cut."""
+        volume = run.volume
+        remaining = run.remaining
+        cut = np.argwhere(depth.depth_mm > 0.0)
+        spacing = 1e3 * volume.spacing_m
+        if not len(cut) or depth.depth_mm.max() < DEEP * spacing * float((np.ptp(cut, axis=0) + 1).min()):
+            return cls(volume, remaining, depth, None)
+        _, normal, place = plane_of(run, axis=depth.axis, outward=depth.outward, row=len(run.trace.rows) - 1)
+        first = int(np.clip((place * 1e-3 - volume.origin_m[normal]) / volume.spacing_m, 0, volume.shape[normal] - 1))
+        behind = np.arange(volume.shape[normal]) >= first
+        keep = behind.reshape([-1 if axis == normal else 1 for axis in range(3)])
+        half = replace(volume, fraction=np.where(keep, volume.fraction, np.uint8(0)))
+        return cls(half, np.where(keep, remaining, np.uint8(0)), depth, (normal, place))
+
+    def camera(self, surface: "pyvista.PolyData") -> Camera:
+        """Return a camera that sees the whole surface from the tool's side, turned aside, and from before the plane."""
+        depth = self.depth
+        out = np.eye(3)[depth.axis] * depth.outward
+        v = np.eye(3)[depth.across[1] if self.plane is None else self.plane[0]]
+        down, aside = np.radians(TILT_DEG if self.plane is None else OPENED_DEG)
+        towards = np.cos(down) * (np.cos(aside) * out + np.sin(aside) * np.cross(v, out)) - np.sin(down) * v
+        # Points of the surface itself, not of its box, so that the bone fills the picture.
+        return Camera.seeing(np.asarray(surface.points)[:: max(surface.n_points // MOST_POINTS, 1)], towards, v)
+
+    def opened(self, surface: "pyvista.PolyData") -> NDArray[np.bool_]:
+        """Return which triangles lie in the plane."""
+        if self.plane is None:
+            return np.zeros(surface.n_cells, dtype=bool)
+        axis, place = self.plane
+        near = np.abs(np.asarray(surface.points)[:, axis] - place) < 1e3 * self.volume.spacing_m
+        flat = np.abs(np.asarray(surface.point_data["Normals"])[:, axis]) > 0.9
+        return np.asarray((near & flat)[surface.regular_faces].all(axis=1))
+
+
+def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
+    """Draw the bone by layer before and by removed depth after the run, both seen by the same camera.
+
+    Returns
+    -------
+    None, or why it could not be drawn.
+    """
+    limit = depth_limit(depth)
+    view = _View.of(run, depth)
+    volume = view.volume
+    remaining = view.remaining
+    if min(int(volume.fraction.max()), int(remaining.max())) < HALF:
+        return "no bone is left to show"
+
+    def make() -> "list[tuple[pyvista.PolyData, Camera]]":
+        """Return the bone before and after, seen by the same camera."""
+        whole = bone_surface(volume, volume.fraction)
+        camera = view.camera(whole)
+        before = with_layers(_seen(whole, camera), volume)
+        after = with_layers(_seen(bone_surface(volume, remaining), camera), volume)
+        with_depth(after, volume, remaining, depth_mm=depth.depth_mm, axis=depth.axis)
+        colours = np.array(list(layer_colours(volume.layer_names).values()))
+        carved = _depth_paint(after.point_data["removed_depth_mm"], limit)[after.regular_faces].mean(axis=1)
+        # The box that was simulated; the bone goes on beyond it.
+        simulated_m = reach(run.cutter, run.parts.motion, run.scene.voxels.margin_mm * 1e-3)
+        carved[cut_out(after, volume, simulated_m)] = CUT_OUT
+        opened = view.opened(after)
+        carved[opened] = colours[after.cell_data["layer"][opened]]
+        for surface in (before, after):
+            surface.point_data["Normals"] = smooth_normals(surface)
+        return [(paint(before, colours[before.cell_data["layer"]]), camera), (paint(after, carved), camera)]
+
+    def annotate(shaded: Shaded) -> None:
+        _annotate(shaded, run, view, limit)
+
+    opened = "" if view.plane is None else f", cut open at {'xyz'[view.plane[0]]} = {view.plane[1]:.2f} mm"
+    names = [f"{when}{opened}" for when in ("before", "after")]
+    return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, names=names)
+
+
+def _depth_paint(depth_mm: NDArray[np.float32], limit: float) -> NDArray[np.float64]:
+    """Return colours of points by removed depth. They blend into the colour of bone over the first few hundredths."""
+    from matplotlib import colormaps
+
+    share = np.clip((depth_mm / limit - 0.01) / 0.03, 0.0, 1.0)[:, None]
+    return share * colormaps[DEPTH_COLOURS](depth_mm / limit)[:, :3] + (1.0 - share) * np.array(BONE)
+
+
+def _seen(surface: "pyvista.PolyData", camera: Camera) -> "pyvista.PolyData":
+    """Return the surface without the triangles that face away from the camera."""
+    import pyvista
+
+    normals = surface.point_data["Normals"]
+    triangles = surface.regular_faces
+    facing = np.asarray(normals) @ np.array(camera.towards_eye, dtype=np.float32) > -0.2
+    part = pyvista.PolyData.from_regular_faces(surface.points, triangles[facing[triangles].any(axis=1)])
+    part.point_data["Normals"] = normals
+    return part
+
+
+def _annotate(shaded: Shaded, run: Run, view: _View, limit: float) -> None:
+    """Add legends, colour bar, axes and the sense of rotation."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.patches import Patch
+
+    volume = view.volume
+    chart = shaded.chart
+    colours = layer_colours(volume.layer_names)
+    present = np.unique(volume.layer[volume.fraction >= HALF])
+    named = (
+        {volume.layer_names[index]: colours[volume.layer_names[index]] for index in present},
+        {"not cut": BONE, "edge of the\nsimulated region": CUT_OUT},
+    )
+    for axes, legend in zip(shaded.panels, named, strict=True):
+        left, foot, wide, _ = axes.get_position().bounds
+        chart.legend(
+            handles=[Patch(facecolor=colour, label=name, **EDGE) for name, colour in legend.items()],
+            loc="center",
+            bbox_to_anchor=(left + 0.2 * wide, 0.5 * foot),
+            frameon=False,
+            handlelength=1.2,
+            labelspacing=0.3,
+        )
+    camera = shaded.cameras[0]
+    _draw_spin(shaded.panels[0], run, camera)
+    draw_axes(chart.add_axes((0.28, 0.0, 0.18, foot)), axis_names(run), camera)
+    bar = chart.add_axes((left + 0.45 * wide, 0.58 * foot, 0.48 * wide, 0.14 * foot))
+    mapped = ScalarMappable(Normalize(0.0, limit), DEPTH_COLOURS)
+    chart.colorbar(mapped, cax=bar, orientation="horizontal").set_label("removed depth / mm")
+
+
+def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
+    """Draw the sense of the tool's rotation at its first contact, as wide as the tool where that fits."""
+    tool = run.scene.tool
+    assert isinstance(tool, Tool)
+    row = int((run.trace["contact_mm2"] > 0.0).argmax())
+    matrix = pose(run.trace.vectors("tool", "mm")[row], tool_turns(run.trace)[row])
+    share = min(1.0, WIDEST_ARC * camera.height_mm / tool.diameter_mm)
+    axes.set_autoscale_on(False)
+    arc = camera.pixels(share * spin_arc_mm(tool) @ matrix[:3, :3].T + matrix[:3, 3])
+    axes.plot(*arc[:-3].T, color="0.1", linewidth=1.6, path_effects=halo())
+    draw_arrow(axes, arc[-4], arc[-1], "0.1")
+    x, y = arc[np.argmin(arc[:, 1])]
+    axes.text(x, y - 8.0, "spin", ha="center", va="bottom", size=9, path_effects=halo())
+
+
+EXPOSED: "tuple[LineStyleType, ...]" = ("--", ":", "-.")
+"""Lines around the layers that a run laid bare."""
+SMALL, AROUND = 0.5, 0.4
+"""A cut that takes up less than this share of the region along both axes is drawn larger, with this share of its longer
+side around it."""
+
+
+def shown_mm(depth: DepthMap) -> tuple[float, float, float, float]:
+    """Return the extent of the map along its two axes [mm]: the region, or a small cut with its surroundings."""
+    u0, u1, v0, v1 = depth.extent_mm
+    cut = np.argwhere(depth.depth_mm > 0.0)
+    if not len(cut):
+        return u0, u1, v0, v1
+    size = np.array([u1 - u0, v1 - v0])
+    edge = size / depth.depth_mm.shape
+    low = cut.min(axis=0) * edge
+    high = (cut.max(axis=0) + 1) * edge
+    if ((high - low) > SMALL * size).any():
+        return u0, u1, v0, v1
+    around = AROUND * float((high - low).max())
+    (a, b), (c, d) = (np.clip([low[i] - around, high[i] + around], 0.0, size[i]) for i in range(2))
+    return float(u0 + a), float(u0 + b), float(v0 + c), float(v0 + d)
+
+
+@styled
+def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
+    """Draw the map of removed depth on the face that the tool meets."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    u0, u1, v0, v1 = shown_mm(depth)
+    per_mm = min(6.0 / (u1 - u0), 6.4 / (v1 - v0))
+    wide = per_mm * (u1 - u0)
+    tall = per_mm * (v1 - v0)
+    full = tall + 1.35
+    left = 0.5 * (8.0 - wide - 0.4)
+    chart = figure(8.0, full)
+    axes = chart.add_axes((left / 8.0, 0.6 / full, wide / 8.0, tall / full))
+    spacing = run.volume.spacing_m * 1e3
+    least = 0.01 * spacing
+    shade = _hillshade(depth.height_mm * depth.outward, spacing)
+    ground = np.clip(np.array(BONE) * shade[..., None], 0.0, 1.0)
+    ground[~(depth.bone & np.isfinite(depth.height_mm))] = 1.0
+    axes.imshow(ground.swapaxes(0, 1), origin="lower", extent=depth.extent_mm, interpolation="nearest")
+    image = axes.imshow(
+        np.ma.masked_less(depth.depth_mm, least).T,
+        origin="lower",
+        extent=depth.extent_mm,
+        cmap=DEPTH_COLOURS,
+        vmin=0.0,
+        vmax=depth_limit(depth),
+        interpolation="nearest",
+    )
+    handles: list[Artist] = [Patch(facecolor=BONE, label="not cut", **EDGE)]
+    draw_outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
+    handles.append(Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region"))
+    for name, mask in depth.exposed.items():
+        dashes = EXPOSED[len(handles) % len(EXPOSED)]
+        draw_outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
+        draw_outline(axes, mask, depth.extent_mm, color="black", linewidth=1.3, linestyle=dashes)
+        handles.append(Line2D([], [], color="black", linewidth=1.3, linestyle=dashes, label=f"{name} laid bare"))
+    axes.set(xlim=(u0, u1), ylim=(v0, v1))
+    x, y = (f"{axis_names(run)[axis]} / mm" for axis in depth.across)
+    axes.set(xlabel=x, ylabel=y, aspect="equal")
+    bar = chart.add_axes(((left + wide + 0.15) / 8.0, 0.6 / full, 0.16 / 8.0, tall / full))
+    chart.colorbar(image, cax=bar, label="removed depth / mm")
+    cut = depth.depth_mm[depth.depth_mm >= least]
+    summary = "nothing removed"
+    if cut.size:
+        summary = (
+            f"removed depth, peak {cut.max():.2f} mm, median {np.median(cut):.2f} mm over "
+            f"{cut.size * spacing**2:.3g} mm²"
+        )
+    title = f"{run.scene.name}: {summary}"
+    chart.text((left + 0.5 * wide) / 8.0, 1.0 - 0.2 / full, title, ha="center", va="center", size=10.5)
+    chart.legend(
+        handles=handles,
+        loc="center",
+        bbox_to_anchor=((left + 0.5 * wide) / 8.0, 1.0 - 0.5 / full),
+        ncols=4,
+        frameon=False,
+    )
+    save(chart, path)
+
+
+def _hillshade(height_mm: NDArray[np.float64], spacing_mm: float) -> NDArray[np.float64]:
+    """Compute the brightness of a face lit from the upper left, darker where it lies deep."""
+    from scipy.ndimage import gaussian_filter
+
+    there = np.isfinite(height_mm)
+    weight = np.maximum(gaussian_filter(there.astype(np.float64), 2.0), 1e-6)
+    filled = gaussian_filter(np.where(there, height_mm, 0.0), 2.0) / weight
+    slope_u, slope_v = np.gradient(filled, spacing_mm)
+    lit = (0.35 * slope_u - 0.35 * slope_v + 0.87) / np.sqrt(1.0 + slope_u**2 + slope_v**2)
+    return np.asarray(np.clip(0.62 + 0.45 * lit, 0.35, 1.05))

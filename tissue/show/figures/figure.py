@@ -1,0 +1,230 @@
+"""Style of all figures: matplotlib settings, colours, axis names, outlines and image files."""
+
+from collections.abc import Callable, Iterable
+from functools import wraps
+from pathlib import Path
+from threading import RLock
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.base.whole_file import whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.patheffects import AbstractPathEffect
+    from matplotlib.typing import LineStyleType, RcKeyType
+
+    from tissue.simulation.depth_map import DepthMap
+    from tissue.simulation.run import Run
+
+__all__ = [
+    "BONE",
+    "DEPTH_COLOURS",
+    "DPI",
+    "DRAWING",
+    "EDGE",
+    "STYLE",
+    "VECTOR_DPI",
+    "axis_names",
+    "depth_limit",
+    "draw_arrow",
+    "draw_outline",
+    "field_colours",
+    "field_words",
+    "figure",
+    "halo",
+    "is_vector",
+    "layer_colours",
+    "plain",
+    "save",
+    "styled",
+]
+
+P = ParamSpec("P")
+T = TypeVar("T")
+DPI = 200
+VECTOR_DPI = 2 * DPI
+"""Pixels an inch of what is no line or text in SVG and PDF: a rendering's own, see `tissue.show.figures.rendering`."""
+STYLE: "dict[RcKeyType, float]" = {
+    "font.size": 9.0,
+    "axes.linewidth": 0.7,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.2,
+}
+DRAWING = RLock()
+"""Held while a picture is drawn beside others: matplotlib has one style for all threads."""
+
+
+def styled(draw: Callable[P, T]) -> Callable[P, T]:
+    """Make a function draw in the style of the figures."""
+
+    @wraps(draw)
+    def drawn(*arguments: P.args, **options: P.kwargs) -> T:
+        import matplotlib
+
+        with DRAWING, matplotlib.rc_context(STYLE):
+            return draw(*arguments, **options)
+
+    return drawn
+
+
+@styled
+def figure(width_in: float, height_in: float) -> "Figure":
+    """Return an empty figure that belongs to no window."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), dpi=DPI)
+
+
+@styled
+def save(chart: "Figure", path: Path) -> None:
+    """Write a figure in the format of its file's ending, png, svg or pdf; the same bytes for the same figure.
+
+    SVG and PDF hold lines and text as such, and what was drawn in 3D or as an image with `VECTOR_DPI` pixels an inch.
+    """
+    import matplotlib
+
+    kind = path.suffix.removeprefix(".")
+    metadata: dict[str, dict[str, str | None]] = {
+        "png": {"Software": None},
+        "svg": {"Date": None},
+        "pdf": {"CreationDate": None},
+    }
+    look: dict[RcKeyType, object] = {"svg.fonttype": "none", "svg.hashsalt": "tissue"}
+    with whole_file(path) as temporary, matplotlib.rc_context(look):
+        if is_vector(path):
+            chart.savefig(temporary, format=kind, dpi=VECTOR_DPI, metadata=metadata[kind])
+        else:
+            packed = {"compress_level": 3}
+            chart.savefig(temporary, format=kind, dpi=DPI, metadata=metadata[kind], pil_kwargs=packed)
+
+
+def is_vector(path: Path) -> bool:
+    """Return whether a file holds lines and text as such."""
+    return path.suffix in (".svg", ".pdf")
+
+
+def plain(panels: "Iterable[Axes]") -> None:
+    """Remove the frame above and to the right of panels, and add a grid along y."""
+    for axes in panels:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(axis="y", color="0.92", linewidth=0.6)
+        axes.set_axisbelow(True)
+        axes.margins(x=0.0)
+
+
+EDGE: dict[str, Any] = {"edgecolor": "0.3", "linewidth": 0.5}
+"""Edge of a patch in a legend."""
+BONE = (0.93, 0.89, 0.81)
+"""Colour of bone that was not cut."""
+LAYERS = {
+    "subchondral": "#E69F00",
+    "cortical": "#56B4E9",
+    "trabecular": "#009E73",
+    "enamel": "#56B4E9",
+    "dentin": "#E69F00",
+    "pulp": "#D55E00",
+    "caries": "#404040",
+    "ligament": "#CC79A7",
+    "bone": "#009E73",
+    "capsule": "#56B4E9",
+    "parenchyma": "#E69F00",
+    "vessel wall": "#D55E00",
+}
+DEPTH_COLOURS = "viridis"
+SIGNED, STRESS, OTHER = "coolwarm", "magma_r", "YlGnBu"
+"""Colours of fields; little is light, so that a body does not turn black where nothing happens. Colour-blind readers
+can follow them (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003)."""
+OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
+COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
+"""Colours of layers and components after Okabe and Ito (2008), distinct for colour-blind readers."""
+MAGNITUDE = "0.88"
+SMALL_NM = 0.02
+"""Torque below which a picture shows thousandths [N m]."""
+ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
+"""What the world's axes mean, by kind of anatomy."""
+
+
+def axis_names(run: "Run") -> tuple[str, ...]:
+    """Return the names of the world's axes, with their anatomical direction where the kind of anatomy has one."""
+    meanings = ANATOMICAL.get(run.scene.anatomy.kind)
+    if meanings is None:
+        return tuple("xyz")
+    named = tuple(f"{c} ({meaning})" for c, meaning in zip("xyz", meanings, strict=True))
+    bone = run.scene.bone
+    if getattr(bone, "centre_mm", None) is not None or getattr(bone, "along", None) is not None:
+        return tuple("xyz")  # what was pointed at on a bone need not be its glenoid
+    # On bone from a file x points forward or backward with the side of the body, which the file does not state.
+    return ("x", *named[1:]) if bone.from_file else named
+
+
+def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
+    """Return red, green and blue of every layer. Known layers have the same colour in every scene."""
+    from matplotlib.colors import to_rgb
+
+    others = [name for name in names if name not in LAYERS]
+    colours = LAYERS | {name: OTHER_LAYERS[i % len(OTHER_LAYERS)] for i, name in enumerate(others)}
+    return {name: to_rgb(colours[name]) for name in names}
+
+
+def field_colours(low: float, high: float) -> str:
+    """Return the name of the colour map for a field with this range. A range that begins above 0 is a stress."""
+    if low < 0.0:
+        return SIGNED
+    return STRESS if low > 0.0 else OTHER
+
+
+def field_words(name: str) -> str:
+    """Return a field's name in words with its unit, such as ``von Mises / kPa``."""
+    from tissue.simulation.saved_fields import field_label
+
+    return " / ".join(filter(None, field_label(name)))
+
+
+def depth_limit(depth: "DepthMap") -> float:
+    """Return the upper end of the depth scale [mm]: the depth of the deepest column."""
+    cut = depth.depth_mm[depth.depth_mm > 0.0]
+    return float(max(cut.max(), 1e-3)) if cut.size else 1.0
+
+
+def draw_outline(
+    axes: "Axes",
+    values: NDArray[np.float64] | NDArray[np.bool_],
+    extent: tuple[float, float, float, float],
+    *,
+    color: str,
+    linewidth: float,
+    linestyle: "LineStyleType" = "-",
+) -> None:
+    """Draw the line at a half of columns between 0 and 1, closed where it meets the edge of the map."""
+    if values.max(initial=0) < 0.5:
+        return
+    ends = zip(extent[::2], extent[1::2], values.shape, strict=True)
+    u, v = (low + (high - low) / count * (np.arange(-1, count + 1) + 0.5) for low, high, count in ends)
+    padded = np.pad(values, 1).T.astype(float)
+    axes.contour(u, v, padded, levels=[0.5], colors=[color], linewidths=[linewidth], linestyles=[linestyle])
+
+
+def draw_arrow(axes: "Axes", start: ArrayLike, end: ArrayLike, colour: str, *, width: float = 1.6) -> None:
+    """Draw an arrow between two points of a panel."""
+    head = 6.0 + 5.0 * width  # a thicker line needs a larger head to show its direction
+    look = {
+        "arrowstyle": "-|>",
+        "color": colour,
+        "linewidth": width,
+        "mutation_scale": head,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
+    (x, y), (to_x, to_y) = np.array([start, end], dtype=np.float64).tolist()
+    axes.annotate("", (to_x, to_y), (x, y), arrowprops=look)
+
+
+def halo(width: float = 4.0) -> "list[AbstractPathEffect]":
+    """Return path effects that keep a line or text legible on any ground."""
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=width, foreground="white")]

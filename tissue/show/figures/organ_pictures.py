@@ -1,0 +1,257 @@
+"""Figures of a soft organ: pressed, and at rest with its supports."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.show.figures.figure import field_colours, field_words, halo
+from tissue.show.figures.organ_surface import SHOWN, at_nodes, drawn_surface, inclusions, section_cap, with_normals
+from tissue.show.figures.rendering import FIELD_AMBIENT, Camera, Shaded, draw_axes, draw_shaded, paint
+from tissue.show.figures.tool_mesh import pose, tool_turns
+from tissue.simulation.saved_fields import IN_MM, field_limits, field_values
+from tissue.simulation.series import CELL_TYPES, frame_mesh
+from tissue.simulation.trace import Table
+
+if TYPE_CHECKING:
+    import pyvista
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+
+__all__ = ["draw_held", "draw_press", "moment_of_press"]
+
+EYE, ACROSS = (0.25, -0.75, 0.62), (0.0, -1.0, 0.0)
+"""Directions towards the eye: that of `tissue view` but lower, and at right angles to a section."""
+TOOL, INCLUSION = (0.72, 0.72, 0.75), "#56B4E9"
+"""Colours of the tool and of an inclusion's edge, which is seen on light and on dark ones."""
+NUDGE = (0.0, 1e-4, 0.0)
+"""How far behind the tool's tip a section lies [mm]: beside a row of nodes, not through it."""
+ABOVE = 0.2
+"""How much of a needle above an organ is drawn, in heights of the organ."""
+HEIGHTS_PX = 90, 150
+"""Above and below the renderings [pixel]."""
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A field of the picture: name, ends of its scale, and whether the organ is cut open."""
+
+    name: str
+    ends: tuple[float, float]
+    opened: bool
+
+    @property
+    def colours(self) -> "ScalarMappable":
+        """Colours by value; the scale is logarithmic where it begins above 0."""
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import LogNorm, Normalize
+
+        low, high = self.ends
+        return ScalarMappable((LogNorm if low > 0.0 else Normalize)(low, high), field_colours(low, high))
+
+
+def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
+    """Return the frame to draw, and the reason: nearest to an inclusion, or the largest displacement."""
+    pressed = [frame for frame in series.frames if _greatest(frame) > 0.0]
+    if not pressed:
+        return None, ""
+    inclusion = inclusions(series.nodes_m[series.cells], series.layer)
+    if not len(inclusion):
+        return max(pressed, key=_greatest), "when the organ had moved most"
+    middle = 1e3 * series.nodes_m[series.cells[inclusion]].mean(axis=(0, 1))
+    tips = trace.vectors("tool", "mm")
+    near = min(pressed, key=lambda frame: float(np.linalg.norm(tips[_row(trace, frame)] - middle)))
+    return near, f"the tool nearest to the {series.layer_names[series.layer[inclusion[0]]]}"
+
+
+def draw_press(
+    series: FieldSeries,
+    trace: Table,
+    path: Path,
+    *,
+    title: str,
+    tool: "pyvista.PolyData | None" = None,
+    flat: bool = False,
+) -> str | None:
+    """Draw the deformed organ at the moment of `moment_of_press`, whole and cut open at the tool.
+
+    Parameters
+    ----------
+    series
+        Its fields; the frames have a displacement at the nodes and von Mises stress in the cells.
+    trace
+        The trace, for where the tool was and its force.
+    path
+        File.
+    title
+        What is written above.
+    tool
+        Surface of the tool in its own frame [mm], as `tissue.show.figures.tool_mesh.tool_surface` gives it.
+    flat
+        Whether both pictures show the section along the tool from in front, as a needle's track needs.
+
+    Returns
+    -------
+    None, or why it could not be drawn.
+    """
+    frame, why = moment_of_press(series, trace)
+    if frame is None:
+        return "nothing has moved"
+    row = _row(trace, frame)
+    moved = _displacement(frame)
+    mesh = frame_mesh(series, frame)
+    mesh.points = np.asarray(mesh.points) + np.float32(IN_MM[moved.rpartition("_")[2]]) * mesh.point_data[moved]
+    shown: list[_Shown] = []
+    for name in (moved, *[name for name in frame.cells if name.startswith("von_mises_")][:1]):
+        if (array := field_values(mesh, name)) is not None:
+            shown.append(_Shown(name, field_limits(name, [array]), opened=flat or bool(shown)))
+    tips = trace.vectors("tool", "mm")[row]
+    eye = ACROSS if flat else EYE
+    edge = _edge_of_inclusion(mesh, tips)
+
+    def make() -> "list[tuple[pyvista.PolyData, Camera]]":
+        """Return the deformed organ, whole and cut open, with the tool."""
+        import pyvista
+
+        place = pose(tips, tool_turns(trace)[row])
+        probe = pyvista.PolyData() if tool is None else tool.transform(place, inplace=False)
+        surfaces = [_organ(mesh, each, tips, edge, eye) for each in shown]
+        organ = np.asarray(surfaces[0].points)
+        if flat and probe.n_points:
+            probe = probe.clip(normal="z", origin=(0.0, 0.0, organ[:, 2].max() + ABOVE * np.ptp(organ[:, 2])))
+        side = with_normals(probe) if probe.n_points else probe
+        paint(side, np.tile(TOOL, (side.n_points, 1)))
+        seen = np.vstack([organ, np.asarray(side.points).reshape(-1, 3)])
+        camera = Camera.seeing(seen, eye, (0.0, 0.0, 1.0))
+        return [(each.append_polydata(side) if side.n_cells else each, camera) for each in surfaces]
+
+    def annotate(shaded: Shaded) -> None:
+        foot = HEIGHTS_PX[1] / shaded.size_px[1]
+        for axes, each in zip(shaded.panels, shown, strict=True):
+            left, _, wide, _ = axes.get_position().bounds
+            if each.opened and edge is not None:
+                _name_inclusion(axes, *edge, shaded.cameras[0])
+            place = shaded.chart.add_axes((left + 0.25 * wide, 0.66 * foot, 0.6 * wide, 0.16 * foot))
+            bar = shaded.chart.colorbar(each.colours, cax=place, orientation="horizontal")
+            words = field_words(each.name)
+            bar.set_label(words + (", cut open at the tool" if each.opened else ""))
+            if each.ends[0] > 0.0:
+                ticks = np.geomspace(*each.ends, 4).tolist()
+                bar.set_ticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
+                bar.minorticks_off()
+        draw_axes(shaded.chart.add_axes((0.0, 0.0, 0.12, foot)), "xyz", shaded.cameras[0])
+
+    force = float(np.linalg.norm(trace.vectors("model_force", "N")[row]))
+    title = f"{title}: {force:.3g} N at {frame.time_s:.3f} s, {why}"
+    return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, title=title, ambient=FIELD_AMBIENT)
+
+
+def _organ(
+    mesh: "pyvista.UnstructuredGrid",
+    shown: _Shown,
+    tip_mm: NDArray[np.float64],
+    edge: "tuple[str, pyvista.PolyData] | None",
+    eye: tuple[float, ...],
+) -> "pyvista.PolyData":
+    """Return the organ in a field's colours, cut open at the tool if asked for, with the outline of an inclusion."""
+    whole = drawn_surface(mesh, at_nodes(mesh, shown.name))
+    parts = [whole]
+    if shown.opened:
+        place = tip_mm + NUDGE
+        cap = section_cap(mesh, whole, shown.name, place_mm=place, normal=np.array(ACROSS))
+        # Lit as if it faced the eye, so that its colours are those of the scale.
+        facing = (np.array(eye) / np.linalg.norm(eye)).astype(np.float32)
+        cap.point_data["Normals"] = np.tile(facing, (cap.n_points, 1))
+        parts = [whole.clip(normal=ACROSS, origin=tuple(place)), cap]
+    for part in parts:
+        values = np.maximum(np.asarray(part.point_data[SHOWN]), shown.ends[0])
+        paint(part, np.asarray(shown.colours.to_rgba(values))[:, :3])
+    if shown.opened and edge is not None:
+        from matplotlib.colors import to_rgb
+
+        tube = with_normals(edge[1].tube(radius=0.0025 * whole.length).triangulate())
+        parts.append(paint(tube, np.tile(to_rgb(INCLUSION), (tube.n_points, 1))))
+    return parts[0].append_polydata(*parts[1:]) if len(parts) > 1 else parts[0]
+
+
+def _edge_of_inclusion(
+    mesh: "pyvista.UnstructuredGrid", tip_mm: NDArray[np.float64]
+) -> "tuple[str, pyvista.PolyData] | None":
+    """Return name and outline of an inclusion in the section at the tool, or None."""
+    names = tuple(str(name) for name in mesh.field_data["layer_names"])
+    layer = np.asarray(mesh.cell_data["layer"])
+    inside = inclusions(np.asarray(mesh.points)[mesh.cell_connectivity.reshape(mesh.n_cells, -1)], layer)
+    if not len(inside):
+        return None
+    boundary = mesh.extract_cells(inside.tolist()).extract_surface(algorithm="dataset_surface")
+    line = boundary.slice(normal=ACROSS, origin=tuple(tip_mm + NUDGE))
+    return (names[layer[inside[0]]], line) if line.n_cells else None
+
+
+def _name_inclusion(axes: "Axes", name: str, line: "pyvista.PolyData", camera: Camera) -> None:
+    """Write the inclusion's name below its outline."""
+    pixels = camera.pixels(line.points)
+    x, y = pixels[pixels[:, 1].argmax()]
+    axes.text(x, y + 8.0, name, ha="center", va="top", size=9, color="0.1", path_effects=halo(2.5))
+
+
+def _row(trace: Table, frame: Frame) -> int:
+    return int(np.clip(np.searchsorted(trace["time_s"], frame.time_s - 1e-9), 0, len(trace.rows) - 1))
+
+
+def _displacement(frame: Frame) -> str:
+    return next((n for n in frame.points if n.startswith("displacement_") and n.rpartition("_")[2] in IN_MM), "")
+
+
+def _greatest(frame: Frame) -> float:
+    name = _displacement(frame)
+    return float(np.linalg.norm(frame.points[name], axis=1).max(initial=0.0)) if name else 0.0
+
+
+FREE = (0.93, 0.91, 0.87)
+HELD = (0.902, 0.624, 0.0)
+TOUCHABLE = (0.0, 0.447, 0.698)
+EYES = {"from above": (0.25, -0.75, 0.62), "from below": (0.25, -0.75, -0.62)}
+HELD_HEIGHTS_PX = 110, 80
+
+
+def draw_held(series: FieldSeries, path: Path, *, title: str) -> str | None:
+    """Draw the organ's surface, triangles of held nodes and of touchable nodes in colours of their own.
+
+    Returns
+    -------
+    None, or why it could not be drawn.
+    """
+    surface = _surface(series)
+
+    def make() -> "list[tuple[pyvista.PolyData, Camera]]":
+        return [(surface, Camera.seeing(surface.points, eye, (0.0, 0.0, 1.0))) for eye in EYES.values()]
+
+    def annotate(shaded: Shaded) -> None:
+        from matplotlib.patches import Patch
+
+        named = (("held", HELD), ("may be touched", TOUCHABLE), ("free", FREE))
+        handles = [Patch(facecolor=colour, edgecolor="0.4", label=name) for name, colour in named]
+        shaded.chart.legend(handles=handles, loc="lower center", ncols=3, frameon=False)
+
+    title = f"{title}: what holds the organ"
+    return draw_shaded(make, path, annotate, margins_px=HELD_HEIGHTS_PX, title=title, names=list(EYES))
+
+
+def _surface(series: FieldSeries) -> "pyvista.PolyData":
+    """Return the boundary with held and touchable triangles in colours of their own."""
+    import pyvista
+
+    grid = pyvista.UnstructuredGrid({CELL_TYPES[series.cells.shape[1]]: series.cells}, 1e3 * series.nodes_m)
+    marks = {"touchable": TOUCHABLE, "held": HELD}
+    nodes = np.arange(len(series.nodes_m))
+    member = np.column_stack([np.isin(nodes, series.node_sets.get(name, ())) for name in marks])
+    surface = drawn_surface(grid, member.astype(np.float32))
+    colours = np.tile(FREE, (surface.n_cells, 1))
+    whole = np.asarray(surface.point_data[SHOWN])[surface.regular_faces].min(axis=1) == 1.0
+    for index, colour in enumerate(marks.values()):
+        colours[whole[:, index]] = colour
+    return paint(surface, colours)

@@ -1,0 +1,294 @@
+"""Off-screen renderings of coloured surfaces, run as ``python -m tissue.show.figures.rendering FOLDER`` in a subprocess."""
+
+import pickle
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tissue.show.figures.figure import DPI, DRAWING, draw_arrow, figure, halo, is_vector, save
+from tissue.system.offscreen import draw_apart
+
+if TYPE_CHECKING:
+    import pyvista
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["FIELD_AMBIENT", "Camera", "Shaded", "draw_axes", "draw_shaded", "paint", "round_length"]
+
+PANEL_PX = 780
+GAP_PX = 40
+OVERSAMPLING = 2
+"""Pixels drawn for a pixel shown, along each edge: smooth outlines where the graphics card smooths none."""
+AMBIENT, FIELD_AMBIENT, ALL_LIGHT = 0.34, 0.72, 1.08
+"""Light from everywhere on bone, and on a field, whose colours must stay those of its scale; with what lamps add."""
+LIGHTS = (((-0.6, 0.7, 0.9), 0.74), ((0.9, 0.1, 0.7), 0.26), ((0.1, -0.9, 0.55), 0.34))
+"""Direction (right, up, towards the eye) and strength of the lights: key, fill, rim."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A parallel projection.
+
+    Attributes
+    ----------
+    towards_eye, up
+        Directions in the world, at right angles.
+    centre_mm
+        Point in the middle of the picture.
+    height_mm
+        Height of the picture in the world.
+    size
+        Width and height [pixel].
+    """
+
+    towards_eye: tuple[float, ...]
+    up: tuple[float, ...]
+    centre_mm: tuple[float, ...]
+    height_mm: float
+    size: tuple[int, int]
+
+    @classmethod
+    def seeing(cls, points_mm: ArrayLike, towards_eye: ArrayLike, up: ArrayLike) -> "Camera":
+        """Return an upright camera that sees all points from a direction."""
+        towards = np.array(towards_eye) / np.linalg.norm(towards_eye)
+        upright = np.asarray(up) - (np.asarray(up) @ towards) * towards
+        upright /= np.linalg.norm(upright)
+        axes = np.stack([np.cross(upright, towards), upright, towards])
+        seen = np.asarray(points_mm) @ axes.T
+        first = seen.min(axis=0)
+        last = seen.max(axis=0)
+        width, height = 1.06 * (last - first)[:2]
+        tall = int(np.clip(PANEL_PX * height / width, 0.45 * PANEL_PX, 1.15 * PANEL_PX)) // 2 * 2
+        height = max(height, width * tall / PANEL_PX)
+        centre = 0.5 * (first + last) @ axes
+        return cls(tuple(towards), tuple(upright), tuple(centre), height_mm=float(height), size=(PANEL_PX, tall))
+
+    def pixels(self, points_mm: ArrayLike) -> NDArray[np.float64]:
+        """Return the pixels of points, right and down from the upper left corner, shape (n, 2)."""
+        axes = np.stack([np.cross(self.up, self.towards_eye), self.up])
+        right, upward = axes @ (np.asarray(points_mm) - self.centre_mm).T * (self.size[1] / self.height_mm)
+        return np.column_stack([0.5 * self.size[0] + right, 0.5 * self.size[1] - upward])
+
+
+def paint(surface: "pyvista.PolyData", colours: NDArray[np.float64]) -> "pyvista.PolyData":
+    """Give every point or every triangle a colour: red, green and blue from 0 to 1, shape (n, 3)."""
+    data = surface.point_data if len(colours) == surface.n_points else surface.cell_data
+    data["colours"] = np.rint(255.0 * colours).astype(np.uint8)
+    return surface
+
+
+def render(
+    make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]", *, averaged: int, ambient: float
+) -> list[NDArray[np.uint8]] | str:
+    """Render each surface on white in a subprocess.
+
+    Parameters
+    ----------
+    make
+        See `draw_shaded`.
+    averaged
+        Pixels along each edge that are averaged to one. With 1 all `OVERSAMPLING` pixels are kept.
+    ambient
+        Share of the light that comes from everywhere.
+
+    Returns
+    -------
+    Pictures of shape (height, width, 3), or why they could not be drawn.
+    """
+    with TemporaryDirectory(prefix="tissue-") as name:
+
+        def prepare() -> bytes:
+            return pickle.dumps([(surface, asdict(camera)) for surface, camera in make()])
+
+        problem = draw_apart("tissue.show.figures.rendering", name, str(averaged), str(ambient), prepare=prepare)
+        if problem is not None:
+            return problem
+        with np.load(Path(name) / "pictures.npz") as drawn:
+            return list(drawn.values())
+
+
+@dataclass(frozen=True)
+class Shaded:
+    """Figure of renderings side by side, ready for annotations.
+
+    Attributes
+    ----------
+    chart
+        The figure.
+    panels
+        One for each rendering.
+    cameras
+        Camera of each panel.
+    size_px
+        Width and height of the figure [pixel].
+    """
+
+    chart: "Figure"
+    panels: "list[Axes]"
+    cameras: list[Camera]
+    size_px: tuple[int, int]
+
+
+def draw_shaded(
+    make: "Callable[[], list[tuple[pyvista.PolyData, Camera]]]",
+    path: Path,
+    annotate: Callable[[Shaded], None],
+    *,
+    margins_px: tuple[int, int],
+    title: str = "",
+    names: Sequence[str] = (),
+    ambient: float = AMBIENT,
+) -> str | None:
+    """Render surfaces side by side with scale bars, annotate the figure and write it.
+
+    Parameters
+    ----------
+    make
+        Returns painted surfaces with normals, and the camera of each. It is called once, while the drawing process
+        starts.
+    path
+        File.
+    annotate
+        Adds legends, colour bars and marks to the figure.
+    margins_px
+        Height above and below the renderings [pixel].
+    title, names
+        Text above all panels, and above each of them.
+    ambient
+        Share of the light that comes from everywhere. More of it gives less shade.
+
+    Returns
+    -------
+    None, or why the surfaces could not be rendered.
+    """
+    cameras: list[Camera] = []
+
+    def prepare() -> "list[tuple[pyvista.PolyData, Camera]]":
+        made = make()
+        cameras.extend(camera for _, camera in made)
+        return made
+
+    scale = OVERSAMPLING if is_vector(path) else 1
+    pictures = render(prepare, averaged=OVERSAMPLING // scale, ambient=ambient)
+    if isinstance(pictures, str):
+        return pictures
+    head, foot = margins_px
+    tall = max(len(picture) for picture in pictures) // scale
+    wide = pictures[0].shape[1] // scale
+    size = len(pictures) * (wide + GAP_PX) - GAP_PX, tall + head + foot
+    with DRAWING:
+        chart = figure(size[0] / DPI, size[1] / DPI)
+        panels = []
+        for index, (picture, camera) in enumerate(zip(pictures, cameras, strict=True)):
+            high = len(picture) // scale
+            left = index * (wide + GAP_PX)
+            low = foot + tall - high
+            axes = chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1]))
+            axes.imshow(picture, interpolation="nearest", extent=(-0.5, wide - 0.5, high - 0.5, -0.5))
+            axes.set_axis_off()
+            _draw_scale(axes, camera)
+            panels.append(axes)
+        for axes, name in zip(panels, names, strict=False):
+            axes.set_title(name, size=10)
+        chart.text(0.5, 1.0 - 38 / size[1], title, ha="center", va="center", size=11)
+        annotate(Shaded(chart, panels, cameras, size))
+        save(chart, path)
+    return None
+
+
+def _main(name: str, averaged: str, ambient: str) -> None:
+    """Draw the surfaces that come on the standard input, and write the pictures into a folder."""
+    import pyvista
+
+    warm = pyvista.Plotter(off_screen=True, window_size=[8, 8])  # loads OpenGL while the surfaces are still being made
+    warm.add_mesh(pyvista.Triangle())
+    warm.screenshot(None, return_img=True)
+    warm.close()
+    received = pickle.load(sys.stdin.buffer)
+    drawn = [_draw(surface, Camera(**camera), int(averaged), float(ambient)) for surface, camera in received]
+    np.savez(Path(name) / "pictures.npz", *drawn, allow_pickle=False)
+
+
+def _draw(mesh: "pyvista.PolyData", camera: Camera, averaged: int, ambient: float) -> NDArray[np.uint8]:
+    """Render one surface. Squares of `averaged` pixels along each edge are averaged."""
+    import pyvista
+
+    width, height = (OVERSAMPLING * pixels // averaged for pixels in camera.size)
+    window = [averaged * width, averaged * height]
+    plotter = pyvista.Plotter(off_screen=True, window_size=window, lighting="none")
+    plotter.disable_anti_aliasing()
+    plotter.background_color = pyvista.Color("white")
+    mesh.point_data.active_normals_name = "Normals"
+    plotter.add_mesh(
+        mesh,
+        scalars="colours",
+        rgb=True,
+        preference="point" if "colours" in mesh.point_data else "cell",
+        smooth_shading=False,
+        interpolation="Phong",
+        ambient=ambient,
+        diffuse=ALL_LIGHT - ambient,
+        specular=0.08,
+        specular_power=12.0,
+        show_scalar_bar=False,
+    )
+    towards, up, centre = map(np.array, (camera.towards_eye, camera.up, camera.centre_mm))
+    axes = np.stack([np.cross(up, towards), up, towards])
+    for direction, strength in LIGHTS:
+        place = centre + 1e3 * np.array(direction) @ axes
+        plotter.add_light(
+            pyvista.Light(position=place, focal_point=centre, light_type="scene light", intensity=strength)
+        )
+    plotter.camera.position = centre + 1e3 * towards
+    plotter.camera.focal_point = centre
+    plotter.camera.up = up
+    plotter.camera.parallel_projection = True
+    plotter.camera.parallel_scale = 0.5 * camera.height_mm
+    plotter.camera.clipping_range = (1.0, 2e3)
+    large = np.asarray(plotter.screenshot(None, return_img=True))[..., :3]
+    plotter.close()
+    blocks = large.reshape(height, averaged, width, averaged, 3)
+    return blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+
+
+LENGTHS_MM = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+
+def round_length(longest_mm: float) -> float:
+    """Return the largest round length up to a limit [mm]."""
+    return max(step for step in LENGTHS_MM if step <= max(longest_mm, LENGTHS_MM[0]))
+
+
+def _draw_scale(axes: "Axes", camera: Camera) -> None:
+    """Draw a bar of a round length. It holds across the picture because the projection is parallel."""
+    per_mm = camera.size[1] / camera.height_mm
+    length = round_length(0.25 * camera.size[0] / per_mm)
+    right = camera.size[0] - 20.0
+    left = right - length * per_mm
+    y = camera.size[1] - 16.0
+    axes.plot([left, right], [y, y], color="0.1", linewidth=2.2, solid_capstyle="butt", path_effects=halo())
+    words = f"{length:g} mm"
+    axes.text(0.5 * (left + right), y - 8.0, words, ha="center", va="bottom", size=9, path_effects=halo())
+
+
+def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:
+    """Draw the world's axes as the camera sees them."""
+    view = np.stack([np.cross(camera.up, camera.towards_eye), camera.up])
+    axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 1.35), aspect="equal")
+    axes.set_axis_off()
+    for along, name in zip(0.8 * view.T, names, strict=True):
+        if np.hypot(*along) < 0.2:
+            continue
+        draw_arrow(axes, (0.0, 0.0), along, "0.2", width=1.0)
+        x, y = along * (1.0 + 0.12 / np.hypot(*along))
+        axes.text(x, y, name, ha="left" if along[0] > -0.05 else "right", va="center", size=9)
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])

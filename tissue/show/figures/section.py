@@ -1,0 +1,378 @@
+"""Section through the deepest point of the tool: layers, removed tissue, stress and structures to keep clear of."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.voxels.volume import FULL
+from tissue.fem.fields import FieldSeries, Frame
+from tissue.models.keep_clear import Distance
+from tissue.show.figures.figure import EDGE, axis_names, draw_outline, figure, layer_colours, save, styled
+from tissue.show.figures.organ_surface import interpolate_in_layers
+from tissue.show.figures.tool_mesh import tool_turns
+from tissue.simulation.depth_map import HALF, tool_axes
+from tissue.simulation.run import Run
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
+
+__all__ = [
+    "Section",
+    "Window",
+    "draw_kept_clear",
+    "draw_section",
+    "kept_window",
+    "loaded_frame",
+    "moment_of",
+    "nearest_places",
+    "plane_of",
+    "section_of",
+]
+
+STRESS = "von_mises_MPa"
+REMOVED_TINT = 0.28
+"""How much of its layer's colour removed tissue keeps."""
+PATH = "#CC79A7"
+"""Colour of the tip's path."""
+DECADES = 3.0
+"""Widest span of a logarithmic scale."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Voxels in a plane that holds the tool's axis.
+
+    Attributes
+    ----------
+    across, axis
+        World axes of the arrays' first and second index, 0 to 2.
+    normal
+        World axis at right angles to the plane.
+    place_mm
+        Coordinate of the plane along the normal [mm].
+    row
+        Row of the trace at the moment.
+    extent_mm
+        Lowest and highest coordinate along the two axes, (u0, u1, v0, v1) [mm].
+    start, left
+        Tissue before the first cut and at the moment, 0 to 1, shape (nu, nv).
+    layer
+        Layer of each voxel, shape (nu, nv).
+    """
+
+    across: int
+    axis: int
+    normal: int
+    place_mm: float
+    row: int
+    extent_mm: tuple[float, float, float, float]
+    start: NDArray[np.float64]
+    left: NDArray[np.float64]
+    layer: NDArray[np.uint8]
+
+
+def plane_of(run: Run, *, axis: int, outward: int, row: int) -> tuple[int, int, float]:
+    """Return the plane through the deepest point so far, along the tool's axis and its main direction.
+
+    Returns
+    -------
+    World axes of the tool's main direction and at right angles to the plane, and the plane's coordinate there [mm].
+    """
+    tips = run.trace.vectors("tool", "mm")
+    cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+    rows = cutting if cutting.size else np.arange(len(tips))
+    so_far = rows[rows <= row] if (rows <= row).any() else rows
+    deepest = int(so_far[np.argmin(outward * tips[so_far, axis])])
+    sides = [a for a in range(3) if a != axis]
+    across = sides[int(np.ptp(tips[rows][:, sides], axis=0).argmax())]
+    normal = next(a for a in sides if a != across)
+    return across, normal, float(tips[deepest, normal])
+
+
+def section_of(run: Run, *, axis: int, outward: int, row: int) -> Section:
+    """Return the section through the deepest point so far, along the tool's axis and its main direction.
+
+    Parameters
+    ----------
+    run
+        A run with voxels.
+    axis, outward
+        World axis closest to the tool's, and the side that the tool comes from.
+    row
+        Row of the trace at the moment that is shown.
+    """
+    volume = run.volume
+    across, normal, place = plane_of(run, axis=axis, outward=outward, row=row)
+    spacing = 1e3 * volume.spacing_m
+    origin = 1e3 * volume.origin_m
+    index = int(np.clip(np.floor((place - origin[normal]) / spacing), 0, volume.shape[normal] - 1))
+    left = run.remaining if run.poses is None else run.replay().at(row)
+    planes = (np.take(array, index, axis=normal) for array in (volume.fraction, left, volume.layer))
+    start, left, layer = (plane if across < axis else plane.T for plane in planes)
+    ends = [(float(origin[a]), float(origin[a] + spacing * volume.shape[a])) for a in (across, axis)]
+    return Section(
+        across=across,
+        axis=axis,
+        normal=normal,
+        place_mm=place,
+        row=row,
+        extent_mm=(*ends[0], *ends[1]),
+        start=start / FULL,
+        left=left / FULL,
+        layer=layer,
+    )
+
+
+def loaded_frame(series: FieldSeries) -> Frame | None:
+    """Return the last frame with at least a tenth of the run's peak stress, or None without any stress."""
+    peaks = [float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0)) for frame in series.frames]
+    if not any(peaks):
+        return None
+    return next(f for f, peak in zip(reversed(series.frames), reversed(peaks), strict=True) if peak >= 0.1 * max(peaks))
+
+
+def moment_of(run: Run) -> tuple[int, Frame | None]:
+    """Return the row of the trace and the fields at the moment of the section: under load, else at the last cut."""
+    series = run.parts.fields
+    cutting = np.flatnonzero(run.trace["contact_mm2"] > 0.0)
+    frame = None if series is None else loaded_frame(series)
+    if frame is None:
+        return int(cutting[-1]) if cutting.size else len(run.trace.rows) - 1, None
+    times = run.trace["time_s"]
+    return int(np.clip(np.searchsorted(times, frame.time_s - 1e-9), 0, len(times) - 1)), frame
+
+
+@styled
+def draw_section(run: Run, path: Path, *, axis: int, outward: int) -> None:
+    """Draw layers with what was removed and, where fields were computed, the stress in the same section and moment."""
+    series = run.parts.fields
+    row, frame = moment_of(run)
+    section = section_of(run, axis=axis, outward=outward, row=row)
+    kept = nearest_places(run)
+    window = kept_window(kept, section.extent_mm, section.start > 0.0, section.across, section.axis)
+    u0, u1, v0, v1 = window
+    wide = 3.05 if frame is not None else min(5.2, 5.2 * (u1 - u0) / (v1 - v0))
+    tall = wide * (v1 - v0) / (u1 - u0)
+    full = tall + 1.75
+    chart = figure(8.0, full)
+    left = 0.62 if frame is not None else 0.5 * (8.0 - wide)
+    names = axis_names(run)
+    panel = chart.add_axes((left / 8.0, 1.15 / full, wide / 8.0, tall / full))
+    _draw_layers(panel, run, section)
+    _draw_tool(panel, run, section)
+    structures = draw_kept_clear(panel, kept, window, section.across, section.axis, section.place_mm)
+    panel.set(xlabel=f"{names[section.across]} / mm", ylabel=f"{names[section.axis]} / mm")
+    panel.set_title("layers and what was removed", size=9.5)
+    chart.legend(
+        handles=[*_handles(run, section, borders=frame is not None), *structures],
+        loc="center",
+        bbox_to_anchor=(0.5, 0.3 / full),
+        ncols=4,
+        frameon=False,
+        handlelength=1.4,
+        columnspacing=1.2,
+    )
+    if series is not None and frame is not None:
+        panel = chart.add_axes(((left + wide + 0.28) / 8.0, 1.15 / full, wide / 8.0, tall / full))
+        drawn = _draw_stress(panel, series, frame, section)
+        # Edges of the layers that are left, as thin lines.
+        there = section.left >= HALF / FULL
+        for index in np.unique(section.layer[there]):
+            draw_outline(panel, there & (section.layer == index), section.extent_mm, color="0.55", linewidth=0.7)
+        _draw_tool(panel, run, section)
+        panel.set(xlabel=f"{names[section.across]} / mm", yticklabels=[], xlim=window[:2], ylim=window[2:])
+        panel.set_title("stress", size=9.5)
+        bar = chart.add_axes(((left + 2.0 * wide + 0.4) / 8.0, 1.15 / full, 0.14 / 8.0, tall / full))
+        chart.colorbar(drawn, cax=bar, extend="both", label="von Mises stress / MPa")
+    title = (
+        f"{run.scene.name} at {run.trace['time_s'][section.row]:.3f} s: section at {names[section.normal]} = "
+        f"{section.place_mm:.2f} mm, through the deepest point"
+    )
+    chart.text(0.5, 1.0 - 0.22 / full, title, ha="center", va="center", size=10.5)
+    save(chart, path)
+
+
+def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
+    """Draw every voxel in its layer's colour, pale where it was removed."""
+    colours = np.array(list(layer_colours(run.volume.layer_names).values()))[section.layer]
+    pale = 1.0 - REMOVED_TINT * (1.0 - colours)
+    left = section.left[..., None]
+    start = section.start[..., None]
+    paint = left * colours + (start - left) * pale + (1.0 - start)
+    axes.imshow(
+        np.clip(paint, 0.0, 1.0).swapaxes(0, 1), origin="lower", extent=section.extent_mm, interpolation="nearest"
+    )
+    gone = np.where(section.start >= HALF / FULL, section.start - section.left, 0.0)
+    draw_outline(axes, gone, section.extent_mm, color="black", linewidth=1.1)
+
+
+def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
+    """Draw the outline of the tool at one moment, and the path of its tip so far."""
+    from matplotlib.patheffects import withStroke
+
+    trace = run.trace
+    row = section.row
+    tips = trace.vectors("tool", "mm")
+    turn = tool_axes(tool_turns(trace))[row]
+    along = turn[[section.across, section.axis]]
+    along = along / max(float(np.hypot(*along)), 1e-9)
+    side = np.array([along[1], -along[0]])
+    outline = 1e3 * run.cutter.profile.outline
+    for sign in (-1.0, 1.0):
+        points = tips[row, [section.across, section.axis]] + outline @ np.stack([sign * side, along])
+        halo = [withStroke(linewidth=2.2, foreground="white")]  # for what lies on dark colours
+        axes.plot(*points.T, color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), path_effects=halo)
+    axes.plot(*tips[: row + 1, [section.across, section.axis]].T, color=PATH, linewidth=1.0)
+    axes.set(xlim=section.extent_mm[:2], ylim=section.extent_mm[2:], aspect="equal")
+
+
+def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Section) -> "AxesImage":
+    """Draw the von Mises stress of the remaining tissue on a logarithmic scale."""
+    from matplotlib.colors import LogNorm
+
+    stress = _section_stress(series, frame, section)
+    there = section.left >= HALF / FULL
+    shown = stress[there & np.isfinite(stress)]
+    low, peak = np.percentile(shown, (2.0, 99.8)) if shown.size else (1.0, 1.0)
+    peak = max(float(peak), 1e-9)
+    scale = LogNorm(float(np.clip(low, peak * 10.0**-DECADES, 0.1 * peak)), peak)
+    picture = np.ma.masked_where(~there, np.maximum(stress, 1e-12))
+    return axes.imshow(
+        picture.T, origin="lower", extent=section.extent_mm, cmap="inferno", norm=scale, interpolation="nearest"
+    )
+
+
+def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> NDArray[np.float64]:
+    """Return the stress at the centres of the section's voxels [MPa], each in its layer."""
+    u0, u1, v0, v1 = section.extent_mm
+    (columns, rows) = section.layer.shape
+    places = np.empty((*section.layer.shape, 3))
+    places[..., section.across] = (u0 + (u1 - u0) * (np.arange(columns) + 0.5) / columns)[:, None]
+    places[..., section.axis] = v0 + (v1 - v0) * (np.arange(rows) + 0.5) / rows
+    places[..., section.normal] = section.place_mm
+    values = interpolate_in_layers(series, frame.cells[STRESS], 1e-3 * places.reshape(-1, 3), section.layer.ravel())
+    return values.reshape(section.layer.shape)
+
+
+def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
+    """Return legend entries: the layers of the section, and its marks."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    names = run.volume.layer_names
+    seen = np.unique(section.layer[section.start >= HALF / FULL])
+    colours = layer_colours(names)
+    return [
+        *(Patch(facecolor=colours[names[i]], label=names[i], **EDGE) for i in seen),
+        Patch(facecolor="0.9", edgecolor="black", linewidth=1.1, label="removed"),
+        Line2D([], [], color="0.1", linewidth=1.0, linestyle=(0, (3, 1.5)), label="tool"),
+        Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip"),
+        *([Line2D([], [], color="0.55", linewidth=0.7, label="edges of the layers that are left")] if borders else []),
+    ]
+
+
+Window = tuple[float, float, float, float]
+"""Lowest and highest coordinate along the two axes of a section, (u0, u1, v0, v1) [mm]."""
+STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
+"""After Okabe and Ito (2008)."""
+AROUND_MM = 3.0
+"""What is shown of a structure beyond its nearest point."""
+ACROSS = 200
+"""Points along each side of the section at which the distance is asked for."""
+STEP_M = 1e-5
+"""Of the differences that make the direction of a distance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """Smallest distance between the tool and a structure.
+
+    Attributes
+    ----------
+    name, distance
+        The structure.
+    tool_mm, structure_mm
+        Points of the tool's body and of the structure's surface [mm], shape (3,).
+    least_mm
+        Their distance, negative inside the structure [mm].
+    """
+
+    name: str
+    distance: Distance
+    tool_mm: NDArray[np.float64]
+    structure_mm: NDArray[np.float64]
+    least_mm: float
+
+
+def nearest_places(run: Run) -> list[Nearest]:
+    """Return the smallest distance of the tool from each structure to keep clear of."""
+    from scipy.spatial.transform import Rotation
+
+    clear = run.parts.keep_clear
+    trace = run.trace
+    found = []
+    for name, distance in () if clear is None else clear.distances.items():
+        row = int(np.argmin(trace[f"distance_{name}_mm"]))
+        turn = Rotation.from_quat(tool_turns(trace)[row])
+        body_m = 1e-3 * trace.vectors("tool", "mm")[row] + turn.apply(np.asarray(clear.points_m) if clear else [])
+        point = body_m[int(np.argmin(distance(body_m)))]
+        steps = np.vstack([np.zeros(3), STEP_M * np.eye(3), -STEP_M * np.eye(3)])
+        values = np.asarray(distance(point + steps), dtype=np.float64)
+        slope = (values[1:4] - values[4:]) / (2.0 * STEP_M)
+        on_surface = point - values[0] * slope / max(float(np.linalg.norm(slope)), 1e-9)
+        least = float(trace[f"distance_{name}_mm"][row])
+        found.append(Nearest(name, distance, 1e3 * point, 1e3 * on_surface, least))
+    return found
+
+
+def kept_window(places: Sequence[Nearest], window: Window, tissue: NDArray[np.bool_], across: int, axis: int) -> Window:
+    """Return a window around the tissue of a section, shape (nu, nv), and the nearest point of each structure."""
+    if not places or not tissue.any():
+        return window
+    u0, u1, v0, v1 = window
+    size = np.array([u1 - u0, v1 - v0]) / tissue.shape
+    (a, b), (c, d) = ((each.min() * s, (each.max() + 1) * s) for each, s in zip(np.nonzero(tissue), size, strict=True))
+    u0, u1 = max(u0, u0 + a - AROUND_MM), min(u1, u0 + b + AROUND_MM)
+    v0, v1 = max(v0, v0 + c - AROUND_MM), min(v1, v0 + d + AROUND_MM)
+    for place in places:
+        u, v = place.structure_mm[[across, axis]].tolist()
+        u0 = min(u0, u - AROUND_MM)
+        u1 = max(u1, u + AROUND_MM)
+        v0 = min(v0, v - AROUND_MM)
+        v1 = max(v1, v + AROUND_MM)
+    return u0, u1, v0, v1
+
+
+def draw_kept_clear(
+    axes: "Axes", places: Sequence[Nearest], window: Window, across: int, axis: int, place_mm: float
+) -> "list[Artist]":
+    """Draw structures in a section at a place along its normal; returns entries of a legend with the least distances.
+
+    A line between two dots joins the points of tool and structure that came nearest, seen along the normal.
+    """
+    from matplotlib.lines import Line2D
+
+    u, v = (np.linspace(window[k], window[k + 1], ACROSS) for k in (0, 2))
+    points = np.full((ACROSS, ACROSS, 3), place_mm)
+    points[..., across] = u[None, :]
+    points[..., axis] = v[:, None]
+    handles: list[Artist] = []
+    for number, place in enumerate(places):
+        colour = STRUCTURES[number % len(STRUCTURES)]
+        depth = np.asarray(place.distance(1e-3 * points.reshape(-1, 3))).reshape(ACROSS, ACROSS)
+        if depth.min() < 0.0 < depth.max():
+            axes.contourf(u, v, depth, levels=[float(depth.min()), 0.0], colors=[colour], alpha=0.15)
+            axes.contour(u, v, depth, levels=[0.0], colors=[colour], linewidths=[1.6])
+        ends = np.array([place.tool_mm, place.structure_mm])[:, [across, axis]]
+        axes.plot(*ends.T, "o-", color=colour, markersize=3.5, linewidth=1.0)
+        how = f"{place.least_mm:.2f} mm away" if place.least_mm >= 0.0 else f"{-place.least_mm:.2f} mm inside"
+        label = f"{place.name}; the tool at its nearest, {how}"
+        handles.append(Line2D([], [], color=colour, linewidth=1.6, marker="o", markersize=3.5, label=label))
+    axes.set(xlim=window[:2], ylim=window[2:])
+    return handles

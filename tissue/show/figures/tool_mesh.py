@@ -1,0 +1,106 @@
+"""The surface of a scene's tool, to be shown."""
+
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from meshes.base.errors import InputError
+from meshes.surfaces.triangle_files import read_triangles
+from tissue.scene.tool import Needle, Probe, Tool
+
+if TYPE_CHECKING:
+    import pyvista
+
+    from tissue.simulation.trace import Table
+
+__all__ = ["pose", "spin_arc_mm", "tool_surface", "tool_turns", "turning_tool"]
+
+NEEDLE_MM = 80.0
+POINT = 2.0
+"""Length of a needle's point, in diameters."""
+SIDES = 72
+ARC = np.radians(270.0)
+"""Length of the arc that shows the sense of a tool's spin."""
+ROD_MM = 40.0
+"""Length of a probe of another shape as it is drawn [mm]."""
+ABOVE = 0.6
+"""How wide the arc above a tool is beside one around it."""
+
+
+def tool_surface(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None":
+    """Return the surface of a tool in its own frame [mm], tip at the origin, z from tip to shank.
+
+    None without a tool, or for one whose file cannot be read any more.
+    """
+    import pyvista
+
+    match tool:
+        case Tool():
+            from tissue.simulation.builders.cutting import cutter_of
+
+            outline = 1e3 * cutter_of(tool).profile.outline
+            return _turned(np.column_stack([outline[:, 0], np.zeros(len(outline)), outline[:, 1]]))
+        case Probe(kind="sphere-probe"):
+            radius = 0.5 * tool.size_mm
+            return pyvista.Sphere(radius=radius, center=(0.0, 0.0, radius), theta_resolution=SIDES, phi_resolution=36)
+        case Probe() if tool.file_name:
+            with suppress(InputError):
+                vertices, faces = read_triangles(Path(tool.file_name))
+                return pyvista.PolyData.from_regular_faces(tool.scale * vertices, faces.astype(int))
+        case Probe():
+            return _rod(0.5 * tool.size_mm, getattr(tool, "length_mm", ROD_MM))
+        case Needle():
+            return _rod(0.5 * tool.diameter_mm, NEEDLE_MM, point_mm=POINT * tool.diameter_mm)
+    return None
+
+
+def turning_tool(tool: Tool | Probe | Needle | None) -> "pyvista.PolyData | None":
+    """Return `tool_surface`, with an arrow in the sense of rotation around a tool that turns."""
+    import pyvista
+
+    surface = tool_surface(tool)
+    if surface is None or not isinstance(tool, Tool) or tool.spin_rpm == 0.0:
+        return surface
+    arc = ABOVE * spin_arc_mm(tool) + [0.0, 0.0, surface.bounds[5]]
+    thick = 0.02 * tool.diameter_mm
+    head = pyvista.Cone(
+        center=arc[-1], direction=arc[-1] - arc[-2], height=6.0 * thick, radius=2.5 * thick, resolution=SIDES // 3
+    )
+    return surface.append_polydata(pyvista.MultipleLines(arc).tube(radius=thick), head)
+
+
+def spin_arc_mm(tool: Tool) -> NDArray[np.float64]:
+    """Return an arc around the tool tip in the sense of rotation, in the tool's own frame [mm]."""
+    turned = -np.sign(tool.spin_rpm) * np.linspace(0.0, ARC, SIDES)
+    radius = 0.575 * tool.diameter_mm
+    return np.column_stack([radius * np.cos(turned), radius * np.sin(turned), np.zeros(SIDES)])
+
+
+def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> NDArray[np.float64]:
+    """Return the transform from a tool frame to the world [mm], shape (4, 4), from tip and quaternion (x, y, z, w)."""
+    from scipy.spatial.transform import Rotation
+
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    matrix[:3, 3] = tip_mm
+    return matrix
+
+
+def tool_turns(trace: "Table") -> NDArray[np.float64]:
+    """Return the orientations of the tool in a trace as quaternions (x, y, z, w), shape (rows, 4)."""
+    return np.column_stack([trace[f"tool_q{c}"] for c in "xyzw"])
+
+
+def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvista.PolyData":
+    around = [[0.0, 0.0, 0.0], [radius_mm, 0.0, point_mm], [radius_mm, 0.0, length_mm], [0.0, 0.0, length_mm]]
+    return _turned(np.array(around))
+
+
+def _turned(line_mm: NDArray[np.float64]) -> "pyvista.PolyData":
+    """Return the surface of revolution of a line in the half plane y = 0 around z."""
+    import pyvista
+
+    return pyvista.lines_from_points(line_mm).extrude_rotate(resolution=SIDES, capping=False)

@@ -1,0 +1,179 @@
+"""The text of a report as HTML: figures, bands, events, notes, materials, scene, versions."""
+
+from base64 import b64encode
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from tissue.fitting.bands.figures import band_lines
+from tissue.scene.used_constants import Used
+from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.run_summary import Summary
+
+__all__ = ["band_section", "events_table", "figures_of", "materials_table", "notes_table", "reproduce", "status_of"]
+
+Text = Callable[[str], str]
+"""Function that makes HTML of a plain text: cleaned and escaped."""
+CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
+
+
+def status_of(saved: SavedRun, text: Text) -> str:
+    """Return the description of the run, and a sentence if it is incomplete."""
+    scene = saved.scene
+    described = f"<p>{text(scene.description)}</p>" if scene is not None and scene.description else ""
+    if saved.complete:
+        return described
+    problem = f": {text(saved.problem)}" if saved.problem else ""
+    sentence = f"This run is {text(saved.status)}{problem}. What follows is what it left."
+    return f'{described}<p class="verdict open">{sentence}</p>'
+
+
+def figures_of(saved: SavedRun, text: Text) -> str:
+    """Return cards with the figures of a complete run."""
+    summary = saved.summary
+    if not saved.complete:
+        return ""
+    cards = [
+        ("simulated", f"{summary['simulated_s']:g} s"),
+        ("greatest force on the tool", f"{summary['force_N']['peak']:.3g} N"),
+        ("mean force in contact", f"{summary['force_N'].get('mean_in_contact', 0.0):.3g} N"),
+    ]
+    if summary["torque_Nm"]["peak"] > 0.0:
+        cards.append(("greatest torque about the tip", _torque(summary["torque_Nm"]["peak"])))
+    removed = {name: value for name, value in summary.get("removed_mm3", {}).items() if value > 0.0}
+    for name, value in removed.items():
+        start = summary.get("start_mm3", {}).get(name, 0.0)
+        share = f" of {start:.4g}" if start > 0.0 else ""
+        cards.append((f"removed {name}", f"{value:.4g}{share} mm³"))
+    if summary.get("cuts") and not removed:
+        cards.append(("removed", "nothing"))
+    ticks = summary.get("tick_us", {})
+    if ticks:
+        cards.append(("computing a tick of 1 ms, median", f"{ticks['median']:.3g} µs"))
+    if "missed_deadlines" in summary:
+        count = round(1e3 * summary["simulated_s"])
+        cards.append(("ticks that took longer than 1 ms", f"{summary['missed_deadlines']} of {count}"))
+    return '<div class="cards">' + "".join(_card(text(label), text(value)) for label, value in cards) + "</div>"
+
+
+def events_table(summary: Summary, text: Text) -> str:
+    """Return the table of events, with buttons that go to their moments."""
+    events = summary.get("events", [])
+    if not events:
+        return "<p>None.</p>"
+    rows = [
+        (
+            str(number),
+            f'<button data-time="{event["time_s"]:.6f}">{event["time_s"]:.3f} s</button>',
+            text(event["what"]),
+        )
+        for number, event in enumerate(events, 1)
+    ]
+    return _table(("", "time", "what happened"), rows)
+
+
+def notes_table(summary: Summary, text: Text) -> str:
+    """Return the table of the run's notes."""
+    notes = summary.get("notes", {})
+    if not notes:
+        return "<p>None.</p>"
+    return _table(("of", "note"), [(text(str(name)), text(str(note))) for name, note in notes.items()])
+
+
+def materials_table(used: Sequence[Used], text: Text) -> str:
+    """Return the table of cited constants with value, range, source and confidence."""
+    if not used:
+        return "<p>This scene rests on no cited constant: what it is made of is stated in the scene itself.</p>"
+    low = sum(one.cited.confidence == "L" for one in used)
+    rows = []
+    for one in used:
+        value = f"{one.cited.value:g}"
+        if one.stated is not None:
+            value = f"<b>{one.stated:g}</b> (scene; cited {value})"
+        span = f"{one.cited.low:g} to {one.cited.high:g}"
+        sure = CONFIDENCE.get(one.cited.confidence, one.cited.confidence)
+        rows.append((text(one.of), text(one.name), value, span, text(sure), text(one.cited.source)))
+    sentence = (
+        f"<p>{len(used)} cited constants, {low} of them of low confidence (from memory of the literature, or assumed). "
+        "The range is what is plausible; results move with it.</p>"
+    )
+    header = ("of", "constant, with its unit", "value", "range", "confidence", "source")
+    return sentence + _table(header, rows, numbers=(2, 3))
+
+
+def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
+    """Return the scene as text, the commands that run it again, and versions."""
+    data = b64encode(scene_text.encode()).decode("ascii")
+    keep = f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as scene.toml</a>'
+    commands = 'pip install "tissue-sim"\ntissue run scene.toml --out again\ntissue report again'
+    rows = [(text(name), text(value)) for name, value in versions]
+    return (
+        f"<h2>Scene</h2><p>Everything that was used; {keep}. Files that it names are without their folders.</p>"
+        f"<details><summary>scene.toml</summary><pre>{text(scene_text)}</pre></details>"
+        f"<h2>Run it again</h2><pre>{text(commands)}</pre>"
+        "<p>The same version of tissue gives the same trace bit for bit on the same kind of processor.</p>"
+        f"<h2>Versions and machine</h2>{_table(('', ''), rows)}"
+    )
+
+
+def _card(label: str, value: str) -> str:
+    """Return a card with a label and a value, both HTML already."""
+    return f'<div class="card"><span>{label}</span><b>{value}</b></div>'
+
+
+def _torque(torque_Nm: float) -> str:
+    return f"{torque_Nm:.3g} N·m" if torque_Nm >= 0.02 else f"{1e3 * torque_Nm:.3g} mN·m"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()) -> str:
+    """Return a table of cells that are HTML already. Columns of numbers align to the right."""
+    look = [' class="number"' if column in numbers else "" for column in range(len(header))]
+    head = "".join(f"<th{look[column]}>{name}</th>" for column, name in enumerate(header))
+    body = "".join(
+        "<tr>" + "".join(f"<td{look[column]}>{cell}</td>" for column, cell in enumerate(row)) + "</tr>" for row in rows
+    )
+    headed = f"<thead><tr>{head}</tr></thead>" if any(header) else ""
+    return f'<div class="scroll"><table>{headed}<tbody>{body}</tbody></table></div>'
+
+
+ROWS = (
+    ("peak force", "force_N", "peak", "N"),
+    ("mean force in contact", "force_N", "mean_in_contact", "N"),
+    ("peak torque", "torque_Nm", "peak", "N m"),
+    ("mean torque in contact", "torque_Nm", "mean_in_contact", "N m"),
+)
+ENDS = ("p25", "p75"), ("p05", "p95")
+"""Ends of the bands of 50 and 90 %."""
+PICTURES = {"png": "image/png", "svg": "image/svg+xml"}
+"""Formats that a page shows, with their types."""
+
+
+def band_section(saved: SavedRun, text: Callable[[str], str]) -> str:
+    """Return heading, table and pictures of the band of a run, or nothing where the run has no band.
+
+    `text` makes HTML of a plain text.
+    """
+    band: dict[str, Any] | None = saved.summary.get("band")
+    if band is None or not saved.complete:
+        return ""
+    rows = []
+    for label, outer, inner, unit in ROWS:
+        at = band[outer][inner]
+        value = saved.summary[outer].get(inner, 0.0)
+        cells = [f"{value:.3g}", f"{at['p50']:.3g}", *(f"{at[low]:.3g} to {at[high]:.3g}" for low, high in ENDS)]
+        rows.append(f"<tr><td>{label} / {unit}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+    head = "".join(f"<th>{name}</th>" for name in ("figure", "this run", "median", "50 %", "90 %"))
+    sentence = f"{len(band['constants'])} constants in their ranges. The error of the model itself is not in it."
+    lines = "".join(f"<li>{text(line)}</li>" for line in band_lines(band))
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    return f"<h2>Bands</h2><p>{sentence}</p>{table}<ul>{lines}</ul>{_pictures(saved)}"
+
+
+def _pictures(saved: SavedRun) -> str:
+    found = []
+    for name, words in (("band", "loads over time with their bands"), ("band_sobol", "which constant matters")):
+        for ending, kind in PICTURES.items():
+            path = saved.path / "pictures" / f"{name}.{ending}"
+            if path.is_file():
+                data = b64encode(path.read_bytes()).decode()
+                found.append(f'<img src="data:{kind};base64,{data}" alt="{words}">')
+    return "".join(found)

@@ -1,0 +1,314 @@
+"""A saved run as one HTML file that needs no network."""
+
+import json
+import re
+from base64 import b64encode
+from collections.abc import Callable
+from contextlib import nullcontext
+from html import escape
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+from importlib.util import find_spec
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
+
+from meshes.base.errors import InputError
+from meshes.base.file_version import package_version
+from meshes.base.isolated_parser import parse_isolated
+from meshes.base.progress import Progress, silent
+from meshes.base.whole_file import whole_file
+from tissue.scene.texts import folders_of
+from tissue.scene.used_constants import used_constants
+from tissue.show.report.charts import charts, columns
+from tissue.show.report.page import (
+    band_section,
+    events_table,
+    figures_of,
+    materials_table,
+    notes_table,
+    reproduce,
+    status_of,
+)
+from tissue.show.report.stage import stage
+from tissue.simulation.run_folder import SavedRun, added_to_run
+from tissue.simulation.saved_fields import require_whole
+from tissue.system.html import html_page
+from tissue.system.outputs import require_new_file
+
+__all__ = ["NAME", "empty_scene", "viewer_scripts", "write_report"]
+
+NAME = "report.html"
+"""File in a run's folder."""
+SCRIPTS = ("decode", "moment", "charts", "surfaces", "stage", "report")
+"""Our own scripts, in the order in which they need each other."""
+PACKED = "data"
+"""Key under which `packing` keeps encoded arrays, which are no text."""
+Clean = Callable[[str], str]
+"""Function that takes the folders of files out of a text."""
+
+
+def write_report(
+    folder: str | Path, out: str | Path | None = None, *, overwrite: bool = False, progress: Progress | None = None
+) -> Path:
+    """Write a run's report.
+
+    Parameters
+    ----------
+    folder
+        Folder that `tissue run` wrote, of a run that ended or was stopped.
+    out
+        HTML file to write; without it ``report.html`` in the folder.
+    overwrite
+        Replace the file where it is there.
+    progress
+        Called with what is being done.
+
+    Returns
+    -------
+    The file.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no run or damaged files, the file is there, or trame-vtk is missing.
+    """
+    report = progress or silent
+    folder = Path(folder)
+    out = folder / NAME if out is None else Path(out)
+    scripts = viewer_scripts()
+    saved = SavedRun(folder)
+    if out.suffix != ".html":
+        raise InputError(f"out must end in .html, got {out}: choose for example {out.with_suffix('.html')}")
+    require_new_file(out, overwrite=overwrite)
+    # In the run's folder the report is one of the run's files, which a new run there removes.
+    belongs = out.absolute().parent == folder.absolute() and out.name == NAME
+    with added_to_run(folder) if belongs else nullcontext():
+        report("reading the run", 0.0)
+        _require_whole(saved)
+        clean = _cleaner(saved)
+        shown = _cleaned({"stage": stage(saved), **_trace(saved)}, clean)
+        report("writing the report", 0.8)
+        text = _html(saved, shown, scripts, clean)
+        with whole_file(out) as temporary:
+            temporary.write_text(text, "utf-8")
+    return out
+
+
+def _require_whole(saved: SavedRun) -> None:
+    """Refuse files that are damaged, before VTK reads them in this process, which it could end."""
+    require_whole(saved)
+    surfaces = [saved.path / "bone.vtp", *sorted((saved.path / "carving").glob("*.vtp"))]
+    there = {path.relative_to(saved.path).as_posix(): ["layer"] for path in surfaces if path.is_file()}
+    if there:
+        parse_isolated(
+            "meshes.surfaces.vtk_reading:check_vtk",
+            saved.path,
+            what="folder of a run",
+            remedy="run the scene again",
+            arrays_by_file=there,
+        )
+
+
+def _trace(saved: SavedRun) -> dict[str, object]:
+    if saved.trace is None or not len(saved.trace.rows):
+        return {"trace": None, "charts": [], "events": []}
+    return {
+        "trace": columns(saved.trace),
+        "charts": charts(saved.trace, saved.scene),
+        "events": saved.summary.get("events", []),
+    }
+
+
+def _html(saved: SavedRun, data: dict[str, Any], viewer: tuple[list[str], list[str]], clean: Clean) -> str:
+    """Return the whole file."""
+    scene = saved.scene
+    used = used_constants(scene, saved.summary.get("layers", ())) if scene is not None else []
+    kept = saved.path / "scene.toml"
+    scene_text = clean(kept.read_text("utf-8")) if kept.is_file() else ""
+
+    def text(words: str) -> str:
+        return escape(clean(words))
+
+    body = [
+        status_of(saved, text),
+        figures_of(saved, text),
+        "<h2>In 3D</h2>",
+        _own("stage.html"),
+        "<h2>Forces</h2>" + _own("charts.html") if data["trace"] else "<p>The run left no tick.</p>",
+        band_section(saved, text),
+        "<h2>Events</h2>" + events_table(saved.summary, text),
+        "<h2>Notes</h2>" + notes_table(saved.summary, text),
+        "<h2>Materials</h2>" + materials_table(used, text),
+        reproduce(scene_text, _versions(saved), text),
+        _data_element(data),
+        "<!-- vtk.js, copyright Kitware Inc., BSD-3-Clause, as trame-vtk ships it -->",
+    ]
+    classic, modules = viewer
+    load = "if (window.OfflineLocalView) window.loadDataSet?.();"
+    return html_page(
+        clean(str(saved.summary["scene"])),
+        "\n".join(body),
+        style=_own("report.css"),
+        scripts=[_start(len(data["stage"]["parts"])), *classic, load],
+        modules=[*modules, "\n".join(_own(f"{name}.js") for name in SCRIPTS)],
+    )
+
+
+def _cleaner(saved: SavedRun) -> Clean:
+    """Return a function that leaves the names of files in a text and takes their folders out.
+
+    A report is handed over, and folders may be named after a patient. Texts are cleaned before they are put into the
+    page: the finished page holds markup and encoded arrays, in which a short folder occurs by chance.
+    """
+    folders = folders_of(saved.scene) if saved.scene is not None else []
+
+    def clean(text: str) -> str:
+        for folder in folders:
+            text = text.replace(folder, "")
+            text = text.replace(folder.replace("\\", "\\\\"), "")  # as TOML and JSON write a backslash
+        return text
+
+    return clean
+
+
+def _cleaned(value: Any, clean: Clean) -> Any:
+    """Return a value of JSON with all its texts cleaned, keys included, but for encoded arrays."""
+    if isinstance(value, str):
+        return clean(value)
+    if isinstance(value, dict):
+        return {
+            clean(key): each if key == PACKED and isinstance(each, str) else _cleaned(each, clean)
+            for key, each in value.items()
+        }
+    if isinstance(value, list | tuple):
+        return [_cleaned(each, clean) for each in value]
+    return value
+
+
+def _data_element(data: dict[str, Any]) -> str:
+    """Return the element that holds the data as JSON; no text of the run can end it."""
+    written = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return f'<script type="application/json" id="report-data">{written}</script>'
+
+
+def _start(part_count: int) -> str:
+    """Return the script that gives vtk.js an empty scene of so many parts."""
+    return (
+        "window.global = window; window.loadDataSet = () => { window.loadDataSet = undefined; "
+        "OfflineLocalView.load(document.getElementById('stage'), "
+        f'{{ base64Str: "{empty_scene(part_count)}" }}); }};'
+    )
+
+
+def _own(name: str) -> str:
+    return files("tissue.show.report").joinpath("browser", name).read_text("utf-8")
+
+
+def _versions(saved: SavedRun) -> list[tuple[str, str]]:
+    try:
+        viewer = version("trame-vtk")
+    except PackageNotFoundError:
+        viewer = "unknown"
+    return [
+        ("tissue of the run", str(saved.summary.get("tissue", "unknown"))),
+        ("tissue of this report", package_version()),
+        ("machine of the run", str(saved.summary.get("machine", "unknown"))),
+        ("computed on", str(saved.summary.get("compute", "unknown"))),
+        ("3D view", f"vtk.js of trame-vtk {viewer}"),
+    ]
+
+
+STYLE_ELEMENT = "document.createElement('style')"
+"""Call by which the viewer adds styles for its own file dialogue, which the policy of a page does not allow."""
+ICONS = "https://kitware.github.io/vtk-js/icon/favicon-"
+"""Begin of the addresses of icons that the viewer would fetch."""
+
+
+def viewer_scripts() -> tuple[list[str], list[str]]:
+    """Return the classic and the module scripts of trame-vtk's static viewer, without the icons that it would fetch.
+
+    They offer ``OfflineLocalView``.
+
+    Raises
+    ------
+    InputError
+        If trame-vtk is missing, or its version ships no such viewer (2.11.0 does not).
+    """
+    found = find_spec("trame_vtk")
+    file = None if found is None or found.origin is None else Path(found.origin).parent / "tools" / "static_viewer.html"
+    text = file.read_text("utf-8") if file is not None and file.is_file() else ""
+    if "OfflineLocalView" not in text:
+        raise InputError("report must have the vtk.js viewer of trame-vtk, got none: pip install -U trame-vtk")
+    classic: list[str] = []
+    modules: list[str] = []
+    for attributes, script in re.findall(r"<script\b([^>]*)>(.*?)</script>", text, re.DOTALL):
+        kind = modules if "module" in attributes else classic
+        without_icons = script.replace(ICONS, "data:,")
+        kind.append(without_icons.replace(STYLE_ELEMENT, "document.createElement('template')"))
+    return classic, modules
+
+
+def empty_scene(parts: int) -> str:
+    """Return a scene of empty parts with colours and normals, as base64 of a zip.
+
+    The browser's script gives them their points: vtk.js makes objects only from such a scene.
+    """
+    actors = [_actor(index) for index in range(parts)]
+    camera = {"id": "camera", "type": "vtkCamera", "properties": {}}
+    renderer = {
+        "id": "renderer",
+        "type": "vtkRenderer",
+        "properties": {"background": [1.0, 1.0, 1.0]},
+        "dependencies": [camera, *actors],
+        "calls": [
+            ["setActiveCamera", ["instance:${camera}"]],
+            *(["addViewProp", [f"instance:${{{actor['id']}}}"]] for actor in actors),
+        ],
+    }
+    window = {
+        "id": "window",
+        "type": "vtkRenderWindow",
+        "mtime": 1,
+        "properties": {},
+        "dependencies": [renderer],
+        "calls": [["addRenderer", ["instance:${renderer}"]]],
+    }
+    content = {name: {"content": b64encode(bytes(12)).decode()} for name in ("Uint8Array", "Float32Array")}
+    kept = BytesIO()
+    with ZipFile(kept, "w", ZIP_DEFLATED) as archive:
+        archive.writestr("index.json", json.dumps({"scene": window, "hashes": content}))
+    return b64encode(kept.getvalue()).decode("ascii")
+
+
+def _actor(index: int) -> dict[str, object]:
+    arrays = (
+        ("pointData", "setScalars", "Uint8Array"),
+        ("cellData", "setScalars", "Uint8Array"),
+        ("pointData", "setNormals", "Float32Array"),
+    )
+    fields = [
+        {"name": f"{location} {setter}", "hash": kind, "vtkClass": "vtkDataArray", "dataType": kind,
+         "numberOfComponents": 3, "location": location, "registration": setter}
+        for location, setter, kind in arrays
+    ]  # fmt: skip
+    data = {"id": f"data{index}", "type": "vtkPolyData", "properties": {"fields": fields}}
+    mapper = {
+        "id": f"mapper{index}",
+        "type": "vtkMapper",
+        "properties": {},
+        "dependencies": [data],
+        "calls": [["setInputData", [f"instance:${{data{index}}}"]]],
+    }
+    property_ = {"id": f"property{index}", "type": "vtkProperty", "properties": {}}
+    return {
+        "id": f"actor{index}",
+        "type": "vtkActor",
+        "properties": {},
+        "dependencies": [mapper, property_],
+        "calls": [
+            ["setMapper", [f"instance:${{mapper{index}}}"]],
+            ["setProperty", [f"instance:${{property{index}}}"]],
+        ],
+    }

@@ -1,0 +1,374 @@
+"""Controls of the window of `tissue view`: layers, clip plane, point values, list of fields, playback."""
+
+from collections.abc import Callable, Sequence
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.show.viewer.fields import REFERENCE, FieldsShown, interpolated
+from tissue.show.viewer.plotter import Plotter, add_slider, add_text, picked
+from tissue.show.viewer.saved_surfaces import Plane
+from tissue.simulation.saved_fields import field_label
+
+if TYPE_CHECKING:
+    from vtkmodules.vtkInteractionWidgets import vtkImplicitPlaneWidget
+
+__all__ = ["HELP", "ClipPlane", "LayerKeys", "NameList", "Playback", "PointRead"]
+
+MOST = 9
+"""Layers that have a key."""
+
+
+class LayerKeys:
+    """Layers that are on or off.
+
+    Parameters
+    ----------
+    plotter
+        Where the digits are bound.
+    names
+        Layers; the first has the key 1.
+    hidden
+        Layers that are off at first.
+    hide
+        Called with the layers that are off, now and whenever they change.
+
+    Attributes
+    ----------
+    hidden
+        Layers that are off.
+    help
+        The keys, in words; empty where there is but one layer.
+    """
+
+    def __init__(
+        self,
+        plotter: Plotter,
+        names: Sequence[str],
+        *,
+        hidden: Sequence[str] = (),
+        hide: Callable[[frozenset[str]], None],
+    ) -> None:
+        self._plotter = plotter
+        self._hide = hide
+        self.hidden: frozenset[str] = frozenset()
+        keys = dict(enumerate(names[:MOST], 1)) if len(names) > 1 else {}
+        listed = "  ".join(f"{number}: {name}" for number, name in keys.items())
+        self.help = f"{listed} on or off" if keys else ""
+        for number, name in keys.items():
+            plotter.add_key_event(str(number), lambda name=name: self.toggle(name))
+        if hidden:
+            self.toggle(*hidden)
+
+    def toggle(self, *names: str) -> None:
+        """Switch layers on or off."""
+        self.hidden ^= frozenset(names)
+        self._hide(self.hidden)
+        self._plotter.render()
+
+
+CLIP_KEY = "x"
+OUT = "comma"
+IN = "period"
+HELP = "x: clip plane    , .: push it    drag its arrow: turn it"
+STEP = 0.02
+"""How far a key pushes the plane, in diagonals of the mesh."""
+
+
+class ClipPlane:
+    """A plane that cuts the fields open.
+
+    Parameters
+    ----------
+    plotter
+        The window.
+    fields
+        What is cut.
+    start
+        Where the plane lies when it is first switched on.
+    """
+
+    def __init__(self, plotter: Plotter, fields: FieldsShown, *, start: Plane) -> None:
+        self._plotter = plotter
+        self._fields = fields
+        self._plane = fields.clip or start
+        self._widget: vtkImplicitPlaneWidget | None = None
+        self._on = fields.clip is not None
+        plotter.add_key_event(CLIP_KEY, self.switch)
+        plotter.add_key_event(OUT, lambda: self.push(STEP))
+        plotter.add_key_event(IN, lambda: self.push(-STEP))
+        fields.drawn.append(self._follow)
+        self._follow()
+
+    def switch(self) -> None:
+        """Cut the mesh open, or close it again."""
+        self._on = not self._on
+        self._fields.cut(self._plane if self._on else None)
+        self._plotter.render()
+
+    def move(self, normal: Sequence[float], origin: Sequence[float]) -> None:
+        """Bring the plane elsewhere."""
+        (a, b, c), (x, y, z) = np.array((normal, origin)).tolist()
+        self._plane = (a, b, c), (x, y, z)
+        if self._on:
+            self._fields.cut(self._plane)
+
+    def push(self, share: float) -> None:
+        """Move the plane along its normal, by a share of the mesh's diagonal."""
+        normal, origin = self._plane
+        size = np.linalg.norm(np.diff(np.reshape(self._fields.bounds_mm, (3, 2)), axis=1))
+        moved = np.add(origin, share * size * np.array(normal)).tolist()
+        if self._widget is not None:
+            self._widget.SetOrigin(*moved)
+        self.move(normal, moved)
+        self._plotter.render()
+
+    def _follow(self) -> None:
+        """Show the handles of the plane while there is something that it cuts."""
+        wanted = self._on and self._fields.name is not None
+        if wanted and self._widget is None and self._fields.actor is not None:
+            normal, origin = self._plane
+            self._widget = self._plotter.add_plane_widget(
+                self.move,
+                normal=normal,
+                origin=origin,
+                bounds=self._fields.bounds_mm,
+                factor=1.1,
+                color="#CC79A7",
+                outline_opacity=0.15,
+                test_callback=False,
+                interaction_event="always",
+            )
+        elif self._widget is not None and bool(self._widget.GetEnabled()) != wanted:
+            self._widget.SetEnabled(wanted)
+
+
+MARK = "#56B4E9"
+NEGLIGIBLE = 1e-5
+"""Share of a vector below which one of its components is rounding."""
+LEFT, TOP, ROW, WIDTH, LETTER = 0.012, 0.80, 0.032, 0.2, 0.024
+"""Place and size of the list in shares of the window: a row lies upon the line of its letters."""
+CHOSEN, OTHER = "#0072B2", (0.45, 0.45, 0.45)
+
+
+class PointRead:
+    """A point of the material that a click has marked, and what the fields are there.
+
+    Parameters
+    ----------
+    plotter
+        Where it is shown.
+    fields
+        What is read.
+    size_mm
+        Diameter of the mark [mm].
+
+    Attributes
+    ----------
+    reference_mm
+        Where the point lay before loading [mm], or None.
+    text
+        Its description.
+    """
+
+    def __init__(self, plotter: Plotter, fields: FieldsShown, *, size_mm: float) -> None:
+        import pyvista
+
+        self._plotter = plotter
+        self._fields = fields
+        self.reference_mm: NDArray[np.float64] | None = None
+        self.text = ""
+        self._mark = plotter.add_mesh(
+            pyvista.Sphere(radius=0.5 * size_mm), color=MARK, name="mark", reset_camera=False, render=False
+        )
+        self._mark.SetVisibility(False)
+        self._words = add_text(plotter, "", (0.012, 0.36), size=10)
+        fields.drawn.append(self.update)
+
+    def click(self, x: int, y: int) -> bool:
+        """Mark what lies under a pixel, counted from the lower left; whether there was anything."""
+        actor = self._fields.actor
+        found = None if actor is None else picked(self._plotter, actor, x, y)
+        if actor is None or found is None:
+            return False
+        self.reference_mm = interpolated(actor.mapper.dataset, *found, REFERENCE)
+        self.update()
+        return True
+
+    def update(self) -> None:
+        """Bring the mark and the words to the moment."""
+        if self.reference_mm is None:
+            return
+        found = self._fields.read(self.reference_mm) if self._fields.name is not None else None
+        self._mark.SetVisibility(found is not None)
+        if found is None:
+            self.text = "the marked point is gone" if self._fields.name is not None else ""
+        else:
+            self._mark.SetPosition(*found.place_mm)
+            at = ", ".join(f"{value:.2f}" for value in self.reference_mm.round(2) + 0.0)
+            lines = [f"{found.layer or 'point'} at ({at}) mm before loading"]
+            self.text = "\n".join([*lines, *(_line(name, value) for name, value in found.values.items())])
+        self._words.input = self.text
+
+
+def _line(name: str, value: NDArray[np.float64]) -> str:
+    """Return a field's value in words."""
+    words, unit = field_label(name)
+    if value.ndim == 0:
+        return f"{words}: {value:.3g} {unit}".rstrip()
+    size = float(np.linalg.norm(value))
+    parts = ", ".join(f"{one if abs(one) > NEGLIGIBLE * size else 0.0:.3g}" for one in value)
+    return f"{words}: {size:.3g} {unit} ({parts})"
+
+
+class NameList:
+    """Names below each other, of which one is chosen.
+
+    Parameters
+    ----------
+    plotter
+        The window.
+    title
+        Title above them.
+    names
+        What can be chosen, and the words that it is shown by.
+    choose
+        Called with what a click chose.
+    """
+
+    def __init__(
+        self,
+        plotter: Plotter,
+        title: str,
+        names: Sequence[tuple[str | None, str]],
+        *,
+        choose: Callable[[str | None], None],
+    ) -> None:
+        self._plotter = plotter
+        self._names = list(names)
+        self._choose = choose
+        self._words = [
+            add_text(plotter, words, (LEFT, TOP - ROW * row), size=10)
+            for row, words in enumerate([title, *(words for _, words in self._names)])
+        ][1:]
+
+    def mark(self, name: str | None) -> None:
+        """Show which one is chosen."""
+        from pyvista import Color
+
+        for (each, words), actor in zip(self._names, self._words, strict=True):
+            chosen = each == name
+            actor.input = f"{'>' if chosen else '  '} {words}"
+            actor.prop.color = Color(CHOSEN if chosen else OTHER)
+
+    def click(self, x: int, y: int) -> bool:
+        """Choose the name under a pixel, counted from the lower left; whether there was one."""
+        wide, tall = self._plotter.window_size
+        row = int((TOP + LETTER - y / tall) // ROW) - 1
+        if not (LEFT <= x / wide <= LEFT + WIDTH and 0 <= row < len(self._names)):
+            return False
+        self._choose(self._names[row][0])
+        return True
+
+
+EVERY_MS = 40
+PLAY_KEY = "space"
+
+
+class Playback:
+    """The moment that is shown, moved by hand or by itself.
+
+    Parameters
+    ----------
+    plotter
+        The window.
+    show
+        Called with the moment [s].
+    span_s
+        First and last moment [s].
+    begin_s
+        Moment that is shown at first [s].
+    slider
+        Ends of the slider in shares of the window, left, right and height.
+    slowest_s
+        What takes less time than this is played slower, so that it lasts this long [s].
+
+    Attributes
+    ----------
+    span_s
+        First and last moment [s].
+    time_s
+        The moment [s].
+    playing
+        Whether it moves by itself.
+    """
+
+    def __init__(
+        self,
+        plotter: Plotter,
+        show: Callable[[float], None],
+        *,
+        span_s: tuple[float, float],
+        begin_s: float,
+        slider: tuple[float, float, float],
+        slowest_s: float = 4.0,
+    ) -> None:
+        self._plotter = plotter
+        self._show = show
+        self.span_s = span_s
+        self._rate = min((span_s[1] - span_s[0]) / slowest_s, 1.0)
+        self.time_s = begin_s
+        self.playing = False
+        self._shown_s = 0.0
+        self._mark_button: Callable[[int], None] = lambda playing: None
+        self._slider = add_slider(plotter, self._drag, span_s, begin_s, place=slider, fmt="%.3f s")
+
+    def start(self) -> None:
+        """Bind the key, add the button and start the clock of a window that is about to open."""
+        plotter = self._plotter
+        button = plotter.add_checkbox_button_widget(
+            self._press, position=(14.0, 282.0), size=28, border_size=3, color_on="#0072B2", color_off="#BBBBBB"
+        )
+        self._mark_button = button.GetRepresentation().SetState
+        add_text(plotter, "play", (0.035, 0.298))
+        plotter.add_key_event(PLAY_KEY, self.switch)
+        plotter.iren.add_observer("TimerEvent", lambda *_: self.tick(perf_counter()))
+        plotter.iren.initialize()
+        plotter.iren.interactor.CreateRepeatingTimer(EVERY_MS)
+
+    def switch(self) -> None:
+        """Play or pause; at the end it begins again."""
+        self.playing = not self.playing
+        if self.playing:
+            self._shown_s = perf_counter()
+            if self.time_s >= self.span_s[1]:
+                self.to(self.span_s[0])
+        self._mark_button(int(self.playing))
+        self._plotter.render()
+
+    def tick(self, now_s: float) -> None:
+        """Move on by the time that has passed since the last tick, if it plays."""
+        if not self.playing:
+            return
+        passed = now_s - self._shown_s
+        self._shown_s = now_s
+        self.to(min(self.time_s + self._rate * passed, self.span_s[1]))
+        if self.time_s >= self.span_s[1]:
+            self.switch()
+
+    def to(self, time_s: float) -> None:
+        """Go to a moment."""
+        self.time_s = time_s
+        self._slider.GetRepresentation().SetValue(time_s)
+        self._show(time_s)
+        self._plotter.render()
+
+    def _drag(self, time_s: float) -> None:
+        self.time_s = time_s
+        self._show(time_s)
+
+    def _press(self, pressed: bool) -> None:
+        if bool(pressed) != self.playing:
+            self.switch()

@@ -1,0 +1,234 @@
+"""The fields in the window of `tissue view`: the deformed mesh of the moment, cut open where the clip plane lies."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissue.show.figures.figure import field_colours
+from tissue.show.figures.organ_surface import SHOWN as DRAWN
+from tissue.show.figures.organ_surface import at_nodes, drawn_surface
+from tissue.show.viewer.plotter import Plotter, add_colour_scale
+from tissue.show.viewer.saved_surfaces import Plane
+from tissue.simulation.saved_fields import SavedFields, field_label, field_values
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["REFERENCE", "FieldsShown", "PointValues", "interpolated"]
+
+TETRAHEDRON = 10
+"""VTK's number of the cell."""
+AMBIENT, DIFFUSE = 0.78, 0.25
+"""Light on a field: enough shade that its shape is seen, so little that its colours are still those of the scale."""
+REFERENCE, SHOWN = "reference_mm", "shown"
+"""Arrays that are only there to be drawn and read."""
+
+
+@dataclass(frozen=True)
+class PointValues:
+    """Values of the fields at a point of the material.
+
+    Attributes
+    ----------
+    place_mm
+        Where it is drawn [mm], shape (3,).
+    values
+        Its fields by name.
+    layer
+        Layer that it belongs to; empty where there are none.
+    """
+
+    place_mm: NDArray[np.float64]
+    values: dict[str, NDArray[np.float64]]
+    layer: str
+
+
+class FieldsShown:
+    """Fields over time in a plotter; nothing is shown until `show` is called.
+
+    Parameters
+    ----------
+    plotter
+        Where they are shown.
+    fields
+        The fields.
+    scale
+        How many times its size the displacement is drawn.
+    clip
+        Plane that the mesh is cut open at, or None.
+    fine
+        Whether tetrahedra that are not cut open are drawn without facets, as a still picture needs.
+
+    Attributes
+    ----------
+    name
+        The field that is shown, or None.
+    actor
+        What can be picked in the plotter, or None; its mesh has the point array ``reference_mm``.
+    drawn
+        Called after every change of what is shown, with nothing; whoever makes a change renders it.
+    """
+
+    def __init__(
+        self,
+        plotter: Plotter,
+        fields: SavedFields,
+        *,
+        scale: float = 1.0,
+        clip: Plane | None = None,
+        fine: bool = False,
+    ) -> None:
+        self._plotter = plotter
+        self._fields = fields
+        self._fine = fine
+        self.scale = scale
+        self.clip = clip
+        self._time_s = 0.0
+        self._hidden: frozenset[str] = frozenset()
+        self.name: str | None = None
+        self.actor: pyvista.Actor | None = None
+        self.drawn: list[Callable[[], None]] = []
+        self._title = ""
+        self._last: tuple[object, ...] | None = None
+
+    @property
+    def bounds_mm(self) -> tuple[float, ...]:
+        """Ends of the box around the first frame, x, y, z, low and high each [mm]."""
+        return tuple(self._fields.frames[0].bounds)
+
+    def show(self, name: str | None) -> None:
+        """Show a field, or none."""
+        self.name = name
+        self._draw()
+
+    def at(self, time_s: float) -> None:
+        """Show the moment."""
+        self._time_s = time_s
+        self._draw()
+
+    def enlarge(self, scale: float) -> None:
+        """Draw the displacement so many times its size."""
+        self.scale = scale
+        self._draw()
+
+    def cut(self, clip: Plane | None) -> None:
+        """Cut the mesh open at a plane, or leave it whole."""
+        self.clip = clip
+        self._draw()
+
+    def hide(self, hidden: frozenset[str]) -> None:
+        """Leave out the cells of some layers."""
+        self._hidden = hidden
+        self._draw()
+
+    def read(self, reference_mm: NDArray[np.float64]) -> PointValues | None:
+        """Return the values at a point of the material, given before loading [mm], or None where no cell is left."""
+        mesh, _ = self._fields.at(self._time_s)
+        if not mesh.n_cells:
+            return None
+        found: object = mesh.find_closest_cell(reference_mm, return_closest_point=True)
+        assert isinstance(found, tuple)
+        index, closest = found
+        if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
+            return None
+        cell = int(index)
+        layers = self._fields.layer_names
+        values: dict[str, NDArray[np.float64]] = {}
+        for name in self._fields.names:
+            if name in mesh.cell_data:
+                values[name] = np.asarray(mesh.cell_data[name][cell])
+            elif name in mesh.point_data:
+                values[name] = interpolated(mesh, cell, closest, name)
+        moved = self._fields.unit_mm * values.get(self._fields.displacement or "", np.zeros(3))
+        layer = layers[int(mesh.cell_data["layer"][cell])] if layers else ""
+        return PointValues(reference_mm + self.scale * moved, values, layer)
+
+    def _draw(self) -> None:
+        key = (self.name, self.scale, self.clip, self._hidden)
+        if self.name is None:
+            if self.actor is not None:
+                self._clear()
+        else:
+            mesh, shown_s = self._fields.at(self._time_s)
+            if (*key, shown_s) == self._last:
+                return
+            self._clear()
+            self._last = (*key, shown_s)
+            self._add(mesh, shown_s, self.name)
+        for call in self.drawn:
+            call()
+
+    def _clear(self) -> None:
+        self._plotter.remove_actor("field", reset_camera=False, render=False)
+        if self._title in self._plotter.scalar_bars:
+            self._plotter.remove_scalar_bar(self._title, render=False)
+        self.actor = None
+        self._last = None
+
+    def _part(self, mesh: "pyvista.DataSet") -> "pyvista.DataSet":
+        """Return the deformed mesh without hidden layers, cut at the clip plane."""
+        import pyvista
+
+        names = self._fields.layer_names
+        keep = [index for index, name in enumerate(names) if name not in self._hidden]
+        if len(keep) < len(names):
+            mesh = mesh.extract_cells(np.flatnonzero(np.isin(mesh.cell_data["layer"], keep)).tolist())
+        if not mesh.n_cells:
+            return mesh
+        moved = mesh.copy(deep=False)
+        moved.point_data[REFERENCE] = np.array(mesh.points)
+        place = np.asarray(mesh.points) + np.float32(self.scale) * self._fields.moved_mm(mesh)
+        moved.SetPoints(pyvista.vtk_points(place, deep=True))  # to set them through .points would move the frame too
+        if self.clip is not None:
+            normal, origin = self.clip
+            moved = moved.clip(normal=normal, origin=origin)
+        return moved
+
+    def _add(self, mesh: "pyvista.DataSet", shown_s: float, name: str) -> None:
+        if field_values(mesh, name) is None:
+            return
+        part = self._part(mesh)
+        if not part.n_cells:
+            return
+        in_cells = name in part.cell_data
+        smooth = self._fine and self.clip is None and set(np.unique(part.celltypes)) == {TETRAHEDRON}
+        if smooth:
+            part = drawn_surface(part, at_nodes(part, name))
+            in_cells = False
+            part.rename_array(DRAWN, name)
+        (part.cell_data if in_cells else part.point_data)[SHOWN] = np.asarray(field_values(part, name))
+        low, high = self._fields.limits(name)
+        self.actor = self._plotter.add_mesh(
+            part,
+            scalars=SHOWN,
+            preference="cell" if in_cells else "point",
+            cmap=field_colours(low, high),
+            clim=(low, high),
+            log_scale=low > 0.0,
+            name="field",
+            ambient=AMBIENT,
+            diffuse=DIFFUSE,
+            interpolation="Phong" if smooth else "Flat",
+            show_scalar_bar=False,
+            reset_camera=False,
+            render=False,
+        )
+        words, unit = field_label(name)
+        self._title = f"{words}{f' / {unit}' if unit else ''}\nat {shown_s:.3f} s"
+        if self.scale != 1.0 and self._fields.displacement is not None:
+            self._title += f"\ndrawn × {self.scale:.3g}"
+        add_colour_scale(self._plotter, self._title, self.actor.mapper, bottom=0.42, fmt="%.2g")
+
+
+def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+    """Interpolate a point array in one cell of a mesh by the cell's own shape functions."""
+    from vtkmodules.vtkCommonCore import reference
+
+    one = mesh.GetCell(cell)
+    nodes = [one.GetPointId(i) for i in range(one.GetNumberOfPoints())]
+    shares = [0.0] * len(nodes)
+    one.EvaluatePosition(list(map(float, place_mm)), [0.0] * 3, reference(0), [0.0] * 3, reference(0.0), shares)
+    return np.asarray(np.array(shares) @ np.asarray(mesh.point_data[name], dtype=np.float64)[nodes])

@@ -1,0 +1,129 @@
+"""The window of `tissue run --live`, run by ``python -m tissue.show.viewer.live.live_window FOLDER`` in a process."""
+
+import os
+import signal
+import sys
+from pathlib import Path
+from time import perf_counter, sleep
+
+import numpy as np
+
+from tissue.show.viewer.live.live_scene import LiveScene, Readings
+from tissue.show.viewer.live.target import HELP, Pointer
+from tissue.show.viewer.plotter import add_names, add_text
+
+__all__ = ["NICE", "LiveWindow"]
+
+SIZE = (1100, 800)
+FRAME_S = 1.0 / 30.0
+"""Time between two frames [s]."""
+MARGINS = (0.08, 0.86, 0.1, 0.84)
+"""Left, right, lower and upper end of the area for the scene, in shares of the window."""
+NICE = 5
+"""On a busy machine the ticks come first."""
+
+
+class LiveWindow:
+    """A scene while it runs: tissue, tool, force and words, and the pointer that moves the tool.
+
+    Parameters
+    ----------
+    folder
+        Folder that `tissue.simulation.live.window.WindowProcess` has filled.
+
+    Attributes
+    ----------
+    shown, pointer
+        Its parts.
+    plotter
+        PyVista's plotter.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.shown = LiveScene(folder, size_px=SIZE, margins=MARGINS)
+        self.plotter = self.shown.plotter
+        self.arrays = self.shown.arrays
+        if self.shown.tissue is not None:
+            add_names(self.plotter, self.shown.tissue.colours)
+        for row, line in enumerate(HELP):
+            add_text(self.plotter, line, (0.012, 0.1 - 0.025 * row))
+        self._words = add_text(self.plotter, "", (0.012, 0.93), size=11)
+        self._clock = add_text(self.plotter, "", (0.012, 0.895))
+
+    def open(self) -> None:
+        """Open the window and take the mouse."""
+        self.plotter.show(interactive_update=True, auto_close=False)
+        self.plotter.iren.clear_key_event_callbacks()
+        self.pointer = Pointer(self.plotter, **self.shown.target_options)
+        self.plotter.iren.interactor.AddObserver("ExitEvent", self._close)
+        self._sent_mm = self.pointer.target_mm
+
+    @property
+    def over(self) -> bool:
+        """State of the end: the ticks have ended, or a person has closed the window."""
+        return bool(self.arrays["ended"][0] or self.arrays["closed"][0])
+
+    def frame(self) -> None:
+        """Take the events that have come, send the pointer, and draw what is new."""
+        self.plotter.iren.interactor.ProcessEvents()
+        if self.pointer.ended:
+            self._close()
+        if self.over:
+            return
+        if not np.array_equal(self._sent_mm, self.pointer.target_mm):
+            self._sent_mm = self.pointer.target_mm
+            self.arrays.write("pointer", self._sent_mm)
+        readings = self.shown.show(self.pointer.target_mm)
+        if readings is not None:
+            self._write(readings)
+        self.shown.update_tissue()
+        self.plotter.render()
+        self.arrays["frames"][0] += 1
+
+    def run(self) -> None:
+        """Run frame after frame until it is over."""
+        while not self.over:
+            began = perf_counter()
+            self.frame()
+            sleep(max(FRAME_S - (perf_counter() - began), 0.002))
+        self.plotter.close()
+
+    def _write(self, read: Readings) -> None:
+        """Write force, removed volume and lateness."""
+        numbers = read.numbers
+        parts = ", ".join(f"{one:.2f}" for one in read.force_N.round(2) + 0.0)
+        words = [f"{numbers['time_s']:.2f} s: force {np.linalg.norm(read.force_N):.2f} N ({parts})"]
+        if read.device_N is not None:
+            words.append(f"at the device {read.device_N:.2f} N")
+        if numbers["removed_mm3"] > 0.0:
+            words.append(f"removed {numbers['removed_mm3']:.2f} mm³")
+        self._words.input = ", ".join(words)
+        clock = (
+            f"tick {numbers['tick_us']:.0f} µs, {numbers['late_us']:.0f} µs late; "
+            f"{numbers['missed']:.0f} deadlines of 1 ms missed"
+        )
+        if numbers["skipped_ms"] > 0.0:
+            clock += f", {numbers['skipped_ms']:.0f} ms skipped"
+        self._clock.input = clock
+
+    def _close(self, *_: object) -> None:
+        self.arrays["closed"][0] = 1
+
+
+def _main(folder: str) -> None:
+    """Open the window, report it on the standard output, and run it until the ticks or a person end it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the ticks decide when it ends
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # OpenGL in software would take every core from the ticks
+    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    window = LiveWindow(Path(folder))
+    window.open()
+    window.frame()
+    print("ready", file=standard_output, flush=True)
+    window.run()
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])

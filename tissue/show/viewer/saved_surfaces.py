@@ -1,0 +1,219 @@
+"""Surfaces of a saved run: the bone at any moment, and the faces that a tool meets."""
+
+from collections.abc import Collection
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.voxels.volume import VoxelVolume
+from tissue.motion.pose_file import poses_of_trace, read_poses
+from tissue.scene.anatomy import CutAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
+from tissue.show.figures.tool_mesh import tool_turns
+from tissue.simulation.bone_files import read_voxels
+from tissue.simulation.bone_surface import smooth_normals
+from tissue.simulation.builders.cutting import milled_voxels
+from tissue.simulation.carved_surface import Box, CarvedSurface, changed_box
+from tissue.simulation.depth_map import facing, tool_axes
+from tissue.simulation.run_folder import SavedRun, saved_placement
+from tissue.simulation.saved_fields import SavedFields
+from tissue.simulation.trace import Table
+
+if TYPE_CHECKING:
+    import pyvista
+
+    from tissue.models.bone.replay import CarvingReplay
+
+__all__ = [
+    "BoneOverTime",
+    "Plane",
+    "bone_of",
+    "cut_plane",
+    "saved_fields",
+    "tool_force",
+]
+
+Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Normal and a point [mm]; what lies on the normal's side is left out."""
+INSIDE_MM = 1e-4
+"""Distance of a cut from the tool's deepest point, so that the plane goes through no face of the mesh."""
+
+
+def saved_fields(saved: SavedRun) -> SavedFields | None:
+    """Return the fields of a run over time; None for a run without any."""
+    if not (saved.path / "fields.pvd").is_file():
+        return None
+    fields = SavedFields(saved.path)
+    return fields if len(fields.times_s) and fields.names else None
+
+
+def cut_plane(saved: SavedRun, fields: SavedFields) -> Plane:
+    """Return the plane through the tool's deepest point that opens the mesh towards the viewer."""
+    x, y, z = map(float, fields.frames[0].center)
+    if saved.trace is not None and len(saved.trace.rows):
+        y = float(saved.trace["tool_y_mm"][saved.trace["tool_z_mm"].argmin()])
+    return (0.0, -1.0, 0.0), (x, y + INSIDE_MM, z)
+
+
+def tool_force(trace: Table) -> NDArray[np.float64]:
+    """Return the force of the tissue on the tool [N], shape (rows, 3)."""
+    return trace.vectors("model_force" if "model_force_x_N" in trace else "force", "N")
+
+
+COARSE_MM = 0.4
+"""Spacing at which the bone of an incomplete run is built and cut again."""
+
+
+class BoneOverTime:
+    """A bone that is carved, or one that stays as it is.
+
+    Parameters
+    ----------
+    volume
+        The bone before the first cut.
+    end
+        Bone left in every voxel at the end, 255 = full, shape of the volume.
+    replay
+        The carving once more; without it the bone is that of the end at every moment.
+    axis
+        World axis closest to the tool's, 0 to 2.
+
+    Attributes
+    ----------
+    layer_names, layers
+        Names of all layers, and indices of those that the bone has.
+    deepest_mm
+        Greatest removed depth of the whole run [mm].
+    """
+
+    def __init__(
+        self, volume: VoxelVolume, end: NDArray[np.uint8], replay: "CarvingReplay | None" = None, *, axis: int = 2
+    ) -> None:
+        self._volume = volume
+        self._replay = replay
+        self._axis = axis
+        self.layer_names = volume.layer_names
+        self.layers: list[int] = np.unique(volume.layer[volume.fraction > 0]).tolist()
+        box = changed_box(volume.fraction, end)
+        nowhere = np.zeros(3, dtype=np.intp)
+        self._box: Box = (nowhere, nowhere) if box is None else box
+        self._shown: frozenset[int] | None = None
+        self._carved: CarvedSurface | None = None
+        self._tick = -1
+        self._left = end if replay is None else replay.at(-1)
+        self.deepest_mm = 0.0
+        if box is not None:
+            carved = CarvedSurface(volume, box, axis=axis)
+            cut = carved.of(end[carved.part])
+            self.deepest_mm = float(cut.point_data["removed_depth_mm"].max()) if cut.n_cells else 0.0
+
+    def at(self, tick: int) -> bool:
+        """Bring the bone to the end of a tick; whether that can have changed it."""
+        if self._replay is None or self.deepest_mm == 0.0 or tick == self._tick:
+            return False
+        self._tick = tick
+        self._left = self._replay.at(tick)
+        return True
+
+    def rest(self, shown: Collection[int]) -> "pyvista.PolyData":
+        """Return the surface [mm] that no cut changes, of some of the layers."""
+        return _smooth(self._of(shown).rest())
+
+    def cut(self, shown: Collection[int]) -> "pyvista.PolyData":
+        """Return the surface [mm] of the carved part at the moment, of some of the layers."""
+        carved = self._of(shown)
+        left = self._left[carved.part]
+        layer = self._volume.layer[carved.part]
+        return _smooth(carved.of(np.where(np.isin(layer, list(shown)), left, np.uint8(0))))
+
+    def _of(self, shown: Collection[int]) -> CarvedSurface:
+        if self._carved is None or self._shown != frozenset(shown):
+            self._shown = frozenset(shown)
+            volume = self._volume
+            fraction = volume.fraction
+            if not self._shown >= set(self.layers):
+                fraction = np.where(np.isin(volume.layer, list(shown)), fraction, np.uint8(0))
+            self._carved = CarvedSurface(replace(volume, fraction=fraction), self._box, axis=self._axis)
+        return self._carved
+
+
+def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
+    """Return the bone of a run over time, in coarse voxels for an incomplete run, or None."""
+    if saved.complete:
+        file = saved.path / "bone.vti"
+        if not file.is_file():
+            return None
+        volume, end = read_voxels(file, saved_placement(saved.path))
+        poses = saved.path / "carving" / "poses.npz"
+        if saved.trace is None or scene is None or not isinstance(scene.tool, Tool):
+            return BoneOverTime(volume, end)
+        if not poses.is_file():
+            return _over_time(volume, saved.trace, scene, end=end)
+        cut, origin_m, spacing_m = read_poses(poses)
+        # Not as the image states them, rounded: the bits of the carving depend on them.
+        exact = replace(volume, origin_m=origin_m, spacing_m=spacing_m)
+        if not np.allclose(origin_m, volume.origin_m, atol=1e-3 * spacing_m):
+            raise InputError(f"poses must be of the bone in {file}, got those of other voxels: run the scene again")
+        return _over_time(exact, saved.trace, scene, end=end, poses=cut, compute=str(saved.summary.get("compute")))
+    if scene is None or saved.trace is None or (coarse := _coarse(scene)) is None:
+        return None
+    return _over_time(coarse, saved.trace, scene)
+
+
+def _over_time(
+    volume: VoxelVolume,
+    trace: Table,
+    scene: Scene,
+    *,
+    end: NDArray[np.uint8] | None = None,
+    poses: NDArray[np.float64] | None = None,
+    compute: str = "cpu",
+) -> BoneOverTime:
+    """Return the bone carved along poses, by default those of the trace, which are right within 20 µm."""
+    from tissue.simulation.builders.cutting import cutter_of
+
+    uncut = end is not None and np.array_equal(end, volume.fraction)
+    if not isinstance(scene.tool, Tool) or scene.tool.spin_rpm == 0.0 or uncut or not len(trace.rows):
+        return BoneOverTime(volume, volume.fraction if end is None else end)
+    if poses is None:
+        axes = tool_axes(tool_turns(trace))
+        velocities = np.hstack([1e-3 * trace.vectors("velocity", "mm_s"), trace.vectors("angular_velocity", "rad_s")])
+        poses = poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes, velocities)
+    import warp as wp
+
+    from tissue.models.bone.replay import CarvingReplay
+
+    known = [str(one) for one in wp.get_devices()]
+    replay = CarvingReplay(
+        volume,
+        cutter_of(scene.tool),
+        poses,
+        removal=scene.voxels.removal,
+        device=compute if compute in known else "cpu",
+    )
+    axis, _ = facing(trace)
+    return BoneOverTime(volume, replay.at(len(trace.rows) - 1).copy() if end is None else end, replay, axis=axis)
+
+
+def _coarse(scene: Scene) -> VoxelVolume | None:
+    """Return the bone that a scene starts from in coarse voxels, or None if it comes from a file."""
+    if not isinstance(scene.anatomy, CutAnatomy) or scene.anatomy.from_file is not None:
+        return None
+    spacing = max(COARSE_MM, scene.voxels.spacing_mm)
+    with suppress(InputError):
+        return milled_voxels(
+            scene.model_copy(update={"voxels": scene.voxels.model_copy(update={"spacing_mm": spacing})})
+        )
+    return None
+
+
+def _smooth(surface: "pyvista.PolyData") -> "pyvista.PolyData":
+    if surface.n_cells:
+        surface.point_data["Normals"] = smooth_normals(surface)
+        surface.point_data.active_normals_name = "Normals"  # without it the steps of the voxels are drawn
+    return surface

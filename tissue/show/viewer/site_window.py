@@ -1,0 +1,171 @@
+"""The window of `tissue view` on an imported bone: a click puts the site, a key saves it into the scene."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.surfaces.site import normal_near, sample_surface
+from meshes.surfaces.surface import Surface, read_surface
+from tissue.scene.site_text import anatomy_of, save_site
+from tissue.show.figures.figure import BONE
+from tissue.show.viewer.plotter import add_text, free_keys, new_plotter, on_click, picked
+
+__all__ = ["SiteWindow", "is_imported", "show_site"]
+
+SIZE = (1400, 950)
+SITE, UNSAVED = "#0072B2", "#D55E00"
+SAMPLES = 60_000
+EYE = np.array([0.35, -1.0, 0.35])
+"""Direction to the eye where there is no site: from the front of the patient, a little from the left and above."""
+ASIDE = 0.6
+"""How far the eye stands aside from the site's normal, in parts of it, so that the arrow is seen."""
+MARK, ARROW = 0.012, 0.16
+"""Radius of the mark and length of the arrow, in parts of the bone's size."""
+ZOOM = 0.9
+"""Leaves the text above free."""
+HELP = "click: put the site there    Return: save it into scene.toml    q: close"
+
+
+def is_imported(folder: Path) -> bool:
+    """Return whether a folder holds an imported bone and no run."""
+    return (
+        all((folder / name).is_file() for name in ("scene.toml", "bone.ply")) and not (folder / "summary.json").exists()
+    )
+
+
+class SiteWindow:
+    """An imported bone with its site.
+
+    Parameters
+    ----------
+    folder
+        What `tissue import` wrote.
+    off_screen
+        Whether it is drawn for a file, and so without help.
+
+    Attributes
+    ----------
+    plotter
+        PyVista's plotter.
+    centre_mm, normal
+        The site that is shown, in the frame of the image (LPS), shape (3,); None without one.
+    text
+        What is written about it.
+    """
+
+    def __init__(self, folder: Path, *, off_screen: bool) -> None:
+        import pyvista
+
+        self._scene = folder / "scene.toml"
+        anatomy = anatomy_of(self._scene)
+        self._surface = _bone(folder, anatomy)
+        self._samples = sample_surface(*self._surface.scanned, SAMPLES)
+        self._size_mm = max(self._surface.report.size_mm)
+        self.centre_mm, self.normal = (_numbers(anatomy.get(key)) for key in ("centre_mm", "normal"))
+        if self.centre_mm is not None and self.normal is None:
+            self.normal = normal_near(self._samples, 1e-3 * self.centre_mm)
+        self.text = ""
+        self.plotter = new_plotter(SIZE, title=f"tissue: {folder.absolute().name}", off_screen=off_screen)
+        bone = pyvista.PolyData.from_regular_faces(1e3 * self._surface.vertices_m, self._surface.faces.astype(int))
+        look = {"smooth_shading": True, "split_sharp_edges": False, "ambient": 0.15, "specular": 0.1}
+        self._bone = self.plotter.add_mesh(bone, color=BONE, name="bone", **look)
+        self.plotter.add_axes(xlabel="left", ylabel="back", zlabel="head", color="black", line_width=3)
+        self._words = add_text(self.plotter, "", (0.012, 0.9), size=11)
+        if not off_screen:
+            add_text(self.plotter, HELP, (0.012, 0.86))
+            self.plotter.add_key_event("Return", self.save)
+        self._draw("site in scene.toml", SITE)
+        self._aim()
+
+    def click(self, x: int, y: int) -> bool:
+        """Put the site where the bone is seen at a pixel, counted from the lower left; whether it is seen there."""
+        found = picked(self.plotter, self._bone, x, y)
+        if found is None:
+            return False
+        _, self.centre_mm = found
+        self.normal = normal_near(self._samples, 1e-3 * self.centre_mm)
+        self._draw("picked, not saved yet: press Return", UNSAVED)
+        return True
+
+    def save(self) -> None:
+        """Write the site into the scene."""
+        if self.centre_mm is None or self.normal is None:
+            return
+        try:
+            save_site(self._scene, self.centre_mm.tolist(), self.normal.tolist())
+        except (InputError, OSError) as error:
+            self._draw(f"not saved: {error}", UNSAVED)
+        else:
+            self._draw(f"saved into {self._scene}", SITE)
+        self.plotter.render()
+
+    def open(self) -> None:
+        """Open the window; comes back when it was closed."""
+        free_keys(self.plotter)
+        on_click(self.plotter, self.click)
+        self.plotter.show()
+
+    def _draw(self, about: str, colour: str) -> None:
+        """Show mark, arrow and numbers."""
+        import pyvista
+
+        if self.centre_mm is None or self.normal is None:
+            self.text = "no site yet"
+        else:
+            size = self._size_mm
+            arrow = pyvista.Arrow(self.centre_mm, self.normal, scale=ARROW * size, tip_radius=0.07, shaft_radius=0.025)
+            parts = {"mark": pyvista.Sphere(MARK * size, self.centre_mm), "arrow": arrow}
+            for name, mesh in parts.items():
+                self.plotter.add_mesh(mesh, color=colour, name=name, reset_camera=False, render=False)
+            centre = ", ".join(f"{value + 0.0:.2f}" for value in self.centre_mm.round(2))
+            normal = ", ".join(f"{value + 0.0:.3f}" for value in self.normal.round(3))
+            self.text = f"centre ({centre}) mm, normal ({normal}), LPS\n{about}"
+        self._words.input = self.text
+
+    def _aim(self) -> None:
+        """Look at the bone so that the site is seen, the head up."""
+        towards = EYE
+        middle = 1e3 * self._surface.vertices_m.mean(axis=0)
+        if self.normal is not None:
+            aside = np.cross(self.normal, [0.0, 0.0, 1.0])
+            aside = aside if np.linalg.norm(aside) > 0.1 else np.array([1.0, 0.0, 0.0])
+            towards = self.normal + ASIDE * aside / np.linalg.norm(aside)
+        towards = towards / np.linalg.norm(towards)
+        up = (0.0, 0.0, 1.0) if abs(towards[2]) < 0.95 else (0.0, -1.0, 0.0)
+        self.plotter.camera_position = [tuple(middle + 3.0 * self._size_mm * towards), tuple(middle), up]
+        self.plotter.reset_camera()
+        self.plotter.camera.zoom(ZOOM)
+
+
+def show_site(folder: Path, *, screenshot: Path | None = None) -> str:
+    """Open the window, or draw it off screen into a PNG file; what was shown, in a sentence."""
+    window = SiteWindow(folder, off_screen=screenshot is not None)
+    if screenshot is not None:
+        window.plotter.screenshot(str(screenshot))
+    else:
+        window.open()
+    window.plotter.close()
+    return window.text.replace("\n", "; ")
+
+
+def _bone(folder: Path, anatomy: dict[str, object]) -> Surface:
+    scale = anatomy.get("scale_mm", 1.0)
+    return read_surface(
+        folder / str(anatomy.get("file", "bone.ply")),
+        scale_mm=float(scale) if isinstance(scale, int | float) else 1.0,
+        cut_off=True,
+    )
+
+
+def _numbers(value: object) -> NDArray[np.float64] | None:
+    if not isinstance(value, list) or len(value) != 3:
+        return None
+    numbers = np.array(value, dtype=np.float64)
+    return numbers if np.isfinite(numbers).all() and numbers.any() else None
+
+
+if __name__ == "__main__":
+    show_site(Path(sys.argv[1]), screenshot=Path(sys.argv[2]))

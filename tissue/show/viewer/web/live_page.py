@@ -1,0 +1,190 @@
+"""The page of `tissue run --live --web`, run by ``python -m tissue.show.viewer.web.live_page FOLDER`` in a process."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissue.show.viewer.live.live_scene import LiveScene, Readings
+from tissue.show.viewer.live.target import NOTCH_MM, Target
+from tissue.show.viewer.plotter import aim
+from tissue.show.viewer.web.messages import Values
+from tissue.show.viewer.web.server import serve
+from tissue.show.viewer.web.stage import Stage
+from tissue.simulation.live.window import LOADS
+
+__all__ = ["LivePage"]
+
+SIZE = (960, 720)
+"""Until the page states its own [pixel]."""
+MARGINS = (0.05, 0.95, 0.06, 0.94)
+ABOVE = 0.3
+"""How much above the tool's tip is in view, in sizes of the scene: more than the longest arrow."""
+KEYS = {
+    "ArrowLeft": "Left",
+    "ArrowRight": "Right",
+    "ArrowUp": "Up",
+    "ArrowDown": "Down",
+    "PageDown": "Next",
+    "PageUp": "Prior",
+    "s": "s",
+    "w": "w",
+}
+"""A browser's names of keys, and VTK's."""
+
+
+class LivePage:
+    """A run while it goes on, and the mouse of the page that moves its tool.
+
+    The ticks wait as long as nobody has a page open, or has paused them; the tool is not moved meanwhile.
+
+    Parameters
+    ----------
+    folder
+        Folder that `tissue.simulation.live.window.PageProcess` has filled.
+
+    Attributes
+    ----------
+    shown, stage, target
+        Its parts.
+    """
+
+    kind = "live"
+
+    def __init__(self, folder: Path) -> None:
+        self.shown = LiveScene(folder, size_px=SIZE, margins=MARGINS, off_screen=True)
+        plotter = self.shown.plotter
+        start = self.shown.target_options["start_mm"]
+        axis = self.shown.target_options["axis"]
+        size = float(np.linalg.norm(np.ptp(self.shown.points_mm, axis=0)))
+        points = np.vstack([self.shown.points_mm, start + ABOVE * size * axis])
+        self.stage = Stage(plotter, lambda: aim(plotter, points, margins=MARGINS))
+        self.target = Target(plotter, **self.shown.target_options)
+        self._sent_mm = self.target.target_mm
+        self.arrays = self.shown.arrays
+        self._attended = False
+        self._paused = False
+        self._hold()
+        self._count = 0
+        self._run = 0
+        self._resets = 0
+        self._last: dict[str, Any] | None = None
+        self._readings: Readings | None = None
+
+    @property
+    def over(self) -> bool:
+        """State of the end, which the ticks set."""
+        return bool(self.arrays["ended"][0])
+
+    def hello(self) -> dict[str, Any]:
+        """Return the scene's name and the legend."""
+        self._last = None
+        self.stage.changed = True
+        from matplotlib.colors import to_hex
+
+        legend = {name: to_hex(colour) for name, colour in self.shown.colours.items()}
+        return {"scene": self.shown.scene.name, "legend": legend}
+
+    def attend(self, attended: bool) -> None:
+        """Let the ticks go on, or wait, with the page."""
+        self._attended = attended
+        self._hold()
+
+    def leave(self) -> None:
+        """End the run."""
+        self.arrays["closed"][0] = 1
+
+    def take(self, do: str, values: Values) -> None:
+        """Move the tool, turn the view, pause, begin again or end."""
+        if self.stage.take(do, values):
+            pass
+        elif do == "pause":
+            self._paused = bool(values["on"])
+            self._hold()
+        elif do == "reset" and not self._resetting:
+            self._resets += 1
+            self._paused = False
+            self._hold()
+            self.arrays["resets"][0] = self._resets
+        elif do == "end":
+            self.leave()
+        elif not (self._paused or self._resetting):
+            self._move(do, values)
+
+    def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
+        """Send where the tool is wanted, and show what is new."""
+        self.arrays["frames"][0] += 1
+        if int(self.arrays["runs"][0]) != self._run:
+            self._begin_again()
+        if not np.array_equal(self._sent_mm, self.target.target_mm):
+            self._sent_mm = self.target.target_mm
+            self.arrays.write("pointer", self._sent_mm)
+            self.stage.changed = True
+        if not drawing:
+            return None, None
+        loads = self._loads()
+        if loads or self.stage.changed or self._readings is None:
+            self._readings = self.shown.show(self.target.target_mm)
+            self.stage.changed = True
+        self.stage.changed |= self.shown.update_tissue()
+        figures = self._figures(loads)
+        return figures, self.stage.picture()
+
+    @property
+    def _resetting(self) -> bool:
+        """State of a reset that was asked for and has not happened yet."""
+        return self._resets != self._run
+
+    def _move(self, do: str, values: Values) -> None:
+        """Move the tool as `tissue.show.viewer.live.target.Pointer` does."""
+        if do == "move":
+            tall_mm = self.stage.tall_px * self.target.mm_per_pixel
+            self.target.across(tall_mm * float(values["right"]), tall_mm * float(values["up"]))
+        elif do == "depth":
+            self.target.along(NOTCH_MM * float(values["notches"]))
+        elif do == "key" and values["name"] in KEYS:
+            self.target.press(KEYS[str(values["name"])])
+
+    def _hold(self) -> None:
+        self.arrays["paused"][0] = int(self._paused or not self._attended)
+
+    def _begin_again(self) -> None:
+        """Show a run from its start."""
+        self._run = int(self.arrays["runs"][0])
+        self._count = int(self.arrays["loads_count"][0])
+        self.target.reset()
+        self._sent_mm = self.target.target_mm
+        self._readings = None
+        self.stage.changed = True
+
+    def _loads(self) -> list[list[float]]:
+        """Return the rows of time [s] and force [N] since the last frame."""
+        count = int(self.arrays["loads_count"][0])
+        first = max(self._count, count - LOADS // 2)
+        rows = self.arrays["loads"][np.arange(first, count) % LOADS]
+        self._count = count
+        return np.round(rows, 4).tolist()
+
+    def _figures(self, loads: list[list[float]]) -> dict[str, Any] | None:
+        """Return the data that the page writes and plots, or None if nothing is new."""
+        state = "running"
+        if self._resetting:
+            state = "resetting"
+        elif self._paused:
+            state = "paused"
+        figures: dict[str, Any] = {"state": state, "run": self._run}
+        read = self._readings
+        if read is not None:
+            figures |= read.numbers
+            figures["force_N"] = np.round(read.force_N, 4).tolist()
+            figures["torque_Nm"] = round(float(np.linalg.norm(read.torque_Nm)), 6)
+            figures["device_N"] = read.device_N
+        if not loads and figures == self._last:
+            return None
+        self._last = figures
+        return {"figures": figures, "loads": loads}
+
+
+if __name__ == "__main__":
+    serve(lambda: LivePage(Path(sys.argv[1])), beside_ticks=True)

@@ -1,0 +1,305 @@
+"""Server of a page on the local machine: access control, pictures and figures over a WebSocket."""
+
+import asyncio
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from secrets import compare_digest, token_urlsafe
+from typing import TYPE_CHECKING, Any, Protocol
+
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from tissue.show.viewer.web.messages import LARGEST, MessageError, Pace, Values, close_reason, parse
+
+if TYPE_CHECKING:
+    from aiohttp.typedefs import Handler, Middleware
+
+__all__ = ["HOST", "SOCKET", "PageServer", "Session", "gate", "new_token", "page_text", "refusal", "serve"]
+
+PAGE = Path(__file__).parent / "page"
+FRAME_S, REST_S = 1.0 / 30.0, 0.004
+"""Time between two frames, and how long there is at least for what the page sends [s]."""
+LEFT_S = 8.0
+"""How long a page may be closed before what it shows ends [s]: time enough to load it again."""
+SENDS_S = 5.0
+"""How long a page may take no figures or picture before its connection is ended [s]."""
+CLOSES_S = 2.0
+"""How long a page is waited for that is closed from here [s]."""
+REPLACED = 4001
+"""Code with which a page is closed that another one takes the place of."""
+POLICY = (
+    "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src data:; "
+    "connect-src ws://{home}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""What the page may load: what stands in it, and its socket."""
+
+
+class Session(Protocol):
+    """Content of a page, and its response to messages."""
+
+    kind: str
+    """Which page it is: ``live`` or ``view``."""
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended."""
+        ...
+
+    def hello(self) -> dict[str, Any]:
+        """Return the data that a page needs when it opens."""
+        ...
+
+    def take(self, do: str, values: Values) -> None:
+        """Apply a message of the page."""
+        ...
+
+    def attend(self, attended: bool) -> None:
+        """Take note that a page was opened or closed."""
+        ...
+
+    def leave(self) -> None:
+        """End because no page came back."""
+        ...
+
+    def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
+        """Go on by one frame; what is new in figures, and where a picture can be taken a new one."""
+        ...
+
+
+class PageServer:
+    """Serves a session to one page.
+
+    Parameters
+    ----------
+    session
+        What is shown.
+    token
+        What the address must hold; default a new random one.
+
+    Attributes
+    ----------
+    address
+        Address of the page, once `start` has been awaited.
+    """
+
+    def __init__(self, session: Session, *, token: str | None = None) -> None:
+        self._session = session
+        self._token = token or new_token()
+        self._port = 0
+        self.address = ""
+        self._socket: web.WebSocketResponse | None = None
+        self._line: asyncio.Transport | None = None
+        self._drawing = True
+        self._left_s = 0.0
+        self._opened = False
+
+    async def serve(self, opened: Callable[[str], object], *, port: int = 0) -> None:
+        """Serve until the session is over; ``opened`` is called with the address."""
+        app = web.Application(middlewares=[gate(self._token, lambda: self._port)])
+        app.router.add_get("/", self._page)
+        app.router.add_get(SOCKET, self._connect)
+        runner = web.AppRunner(app, access_log=None, handle_signals=False, shutdown_timeout=CLOSES_S)
+        await runner.setup()
+        try:
+            site = web.TCPSite(runner, HOST, port)
+            await site.start()
+            self._port = int(runner.addresses[0][1])
+            self.address = f"http://{HOST}:{self._port}/?token={self._token}"
+            opened(self.address)
+            await self._run()
+        finally:
+            if self._socket is not None:
+                await _close(self._socket, self._line, WSCloseCode.OK, "over")
+            await runner.cleanup()
+
+    async def _run(self) -> None:
+        """Run frame after frame until it is over."""
+        loop = asyncio.get_running_loop()
+        session = self._session
+        while not session.over:
+            began = loop.time()
+            socket = self._socket
+            if socket is None and self._opened and began - self._left_s > LEFT_S:
+                session.leave()
+            figures, picture = session.frame(socket is not None and self._drawing)
+            if socket is not None and not socket.closed:
+                try:
+                    async with asyncio.timeout(SENDS_S):
+                        if figures is not None:
+                            await socket.send_str(json.dumps(figures))
+                        if picture is not None:
+                            self._drawing = False
+                            await socket.send_bytes(picture)
+                except ConnectionError:
+                    pass  # its own loop finds it closed
+                except TimeoutError:
+                    _cut(self._line)
+            await asyncio.sleep(max(FRAME_S - (loop.time() - began), REST_S))
+
+    async def _page(self, request: web.Request) -> web.Response:
+        nonce = token_urlsafe(12)
+        policy = POLICY.format(nonce=nonce, home=f"{HOST}:{self._port}")
+        text = page_text(self._session.kind, nonce)
+        return web.Response(text=text, content_type="text/html", headers={"Content-Security-Policy": policy})
+
+    async def _connect(self, request: web.Request) -> web.WebSocketResponse:
+        # No heartbeat: on one machine the system reports a page that is gone, and a picture may take seconds to draw.
+        socket = web.WebSocketResponse(timeout=CLOSES_S, max_msg_size=LARGEST)
+        await socket.prepare(request)
+        before = self._socket
+        its_line = self._line
+        self._socket = socket
+        self._line = request.transport
+        self._drawing = self._opened = True
+        if before is not None:
+            await _close(before, its_line, REPLACED, "another page shows it now")
+        session = self._session
+        pace = Pace()
+        loop = asyncio.get_running_loop()
+        await socket.send_str(json.dumps({"hello": session.hello()}))
+        session.attend(True)
+        try:
+            async for message in socket:
+                if message.type is not WSMsgType.TEXT:
+                    raise MessageError("a message must be text")
+                do, values = parse(message.data)
+                if do == "seen":
+                    self._drawing = True
+                else:
+                    session.take(do, values)
+                await asyncio.sleep(pace.wait_s(loop.time()))
+                if request.transport is None or request.transport.is_closing():
+                    break  # the page is gone, and what it has sent before counts no more
+        except MessageError as error:
+            await _close(socket, request.transport, WSCloseCode.POLICY_VIOLATION, str(error))
+        finally:
+            if self._socket is socket:
+                self._socket = None
+                self._left_s = loop.time()
+                session.attend(False)
+        return socket
+
+
+async def _close(socket: web.WebSocketResponse, line: asyncio.Transport | None, code: int, reason: str) -> None:
+    """Close a page's socket with a code and a reason; cut the connection if the page reads no more."""
+    try:
+        async with asyncio.timeout(CLOSES_S):
+            await socket.close(code=code, message=close_reason(reason))
+    except TimeoutError:
+        _cut(line)
+
+
+def _cut(line: asyncio.Transport | None) -> None:
+    """End a connection at once, whatever waits to be sent."""
+    if line is not None:
+        line.abort()
+
+
+def page_text(kind: str, nonce: str) -> str:
+    """Return a page as one text, so that it loads nothing more and its address alone holds the token."""
+    text = (PAGE / f"{kind}.html").read_text("utf-8")
+    script = "\n".join((PAGE / name).read_text("utf-8") for name in ("common.js", "plot.js", f"{kind}.js"))
+    style = (PAGE / "page.css").read_text("utf-8")
+    return text.replace("{{nonce}}", nonce).replace("{{style}}", style).replace("{{script}}", script)
+
+
+HOST = "127.0.0.1"
+"""Address that is served; no other machine reaches it."""
+SOCKET = "/socket"
+TOKEN_BYTES = 24
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+"""Of every answer: nothing is kept, no other site embeds it, and the token in the address is not sent on."""
+
+
+def new_token() -> str:
+    """Return a random token of 192 bits for an address."""
+    return token_urlsafe(TOKEN_BYTES)
+
+
+def refusal(*, host: str, origin: str | None, given: str, port: int, token: str, socket: bool) -> str | None:
+    """Return why a request is refused, or None.
+
+    A page of another site that asks by a name which it lets point here (DNS rebinding) is known by its Host, one that
+    opens the socket by its Origin, which browsers always send then.
+
+    Parameters
+    ----------
+    host, origin
+        Headers of the request.
+    given
+        Token in its address.
+    port, token
+        Where it is served and the token that opens it.
+    socket
+        Whether it opens the socket.
+    """
+    home = f"{HOST}:{port}"
+    if host != home:
+        return "the address must be the one that tissue printed"
+    if (socket and origin is None) or (origin is not None and origin != f"http://{home}"):
+        return "the page must be the one that tissue serves"
+    if not compare_digest(given.encode(), token.encode()):
+        return "the address must hold the token that tissue printed"
+    return None
+
+
+def gate(token: str, port: Callable[[], int]) -> "Middleware":
+    """Return middleware that answers 403 to refused requests. The port is known once the page is served."""
+
+    @web.middleware
+    async def judge(request: web.Request, handler: "Handler") -> web.StreamResponse:
+        why = refusal(
+            host=request.headers.get("Host", ""),
+            origin=request.headers.get("Origin"),
+            given=request.query.get("token", ""),
+            port=port(),
+            token=token,
+            socket=request.path == SOCKET,
+        )
+        if why is not None:
+            return web.Response(status=403, text=f"refused: {why}\n", headers=HEADERS)
+        answer = await handler(request)
+        if not answer.prepared:
+            answer.headers.update(HEADERS)
+        return answer
+
+    return judge
+
+
+NICE = 5
+"""Lower priority beside ticks."""
+
+
+def serve(make: Callable[[], Session], *, beside_ticks: bool) -> None:
+    """Make what is shown and serve it until it is over; its address is printed behind the word ready.
+
+    Whoever has started the process decides when it ends, so that Ctrl-C does nothing here.
+
+    Parameters
+    ----------
+    make
+        Makes what is shown.
+    beside_ticks
+        Whether ticks go on beside it, which come first.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if beside_ticks:
+        if hasattr(os, "nice"):
+            os.nice(NICE)
+        os.environ.setdefault("LP_NUM_THREADS", "1")  # OpenGL in software would take every core from the ticks
+    standard_output = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    import pyvista
+
+    pyvista.global_theme.multi_samples = 1  # drawn in software, smooth edges take three times as long
+    session = make()
+    server = PageServer(session)
+    asyncio.run(server.serve(lambda address: print(f"ready {address}", file=standard_output, flush=True)))

@@ -1,0 +1,152 @@
+"""Off-screen view for a page: rotated by the page, sent as JPEG, with the colour scale as data."""
+
+from collections.abc import Callable
+from io import BytesIO
+from math import floor, log10
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from tissue.show.viewer.plotter import Plotter
+from tissue.show.viewer.web.messages import Values
+
+__all__ = ["Stage", "taken_scale"]
+
+MOST_PX = 1_000_000
+"""Largest picture [pixel]: more takes OpenGL in software longer than a frame."""
+QUALITY = 88
+"""Of a picture as JPEG."""
+STILL_S = 0.25
+"""How long nothing has changed when smooth edges are drawn, which takes OpenGL in software four times as long [s]."""
+TURN_DEG = 180.0
+"""Turn of the view by a drag over the height of the picture."""
+
+
+class Stage:
+    """A plotter whose view is turned and drawn for a page.
+
+    Parameters
+    ----------
+    plotter
+        PyVista's plotter, off screen.
+    aim
+        Points the camera; called when the size changes, until the view was turned.
+
+    Attributes
+    ----------
+    changed
+        Whether what is shown is not what was drawn last.
+    """
+
+    def __init__(self, plotter: Plotter, aim: Callable[[], None]) -> None:
+        self._plotter = plotter
+        self._aim = aim
+        self._turned = False
+        self._fine = False
+        self._moved_s = 0.0
+        self.changed = True
+        plotter.show(auto_close=False, interactive=False)
+
+    @property
+    def tall_px(self) -> int:
+        """Height of a picture [pixel]."""
+        return int(self._plotter.window_size[1])
+
+    def take(self, do: str, values: Values) -> bool:
+        """Change size or view as a page asks for, and return whether that was it."""
+        number = {name: float(value) for name, value in values.items() if not isinstance(value, str)}
+        if do == "size":
+            self.resize(number["wide"], number["tall"])
+        elif do == "turn":
+            self.turn(number["right"], number["up"])
+        elif do == "zoom":
+            self.zoom(number["by"])
+        else:
+            return False
+        return True
+
+    def resize(self, wide: float, tall: float) -> None:
+        """Draw pictures of this shape, and of this size [pixel] where that is not too much."""
+        scale = min(1.0, float(np.sqrt(MOST_PX / (wide * tall))))
+        size = [int(scale * wide) // 2 * 2, int(scale * tall) // 2 * 2]
+        if size != list(self._plotter.window_size):
+            self._plotter.window_size = size
+            if not self._turned:
+                self._aim()
+            self.changed = True
+
+    def turn(self, right: float, up: float) -> None:
+        """Turn the view by a drag, in shares of the picture's height."""
+        camera = self._plotter.camera
+        camera.Azimuth(-TURN_DEG * right)
+        camera.Elevation(-TURN_DEG * up)
+        camera.OrthogonalizeViewUp()
+        self._viewed()
+
+    def zoom(self, by: float) -> None:
+        """Bring the camera nearer by a factor."""
+        camera = self._plotter.camera
+        if camera.GetParallelProjection():
+            camera.SetParallelScale(camera.GetParallelScale() / by)
+        else:
+            camera.Dolly(by)
+        self._viewed()
+
+    def picture(self) -> bytes | None:
+        """Return the view as JPEG: one with smooth edges once it stays the same, and None from then on."""
+        now = perf_counter()
+        if self.changed:
+            self.changed = False
+            self._fine = False
+            self._moved_s = now
+            return self._drawn()
+        if self._fine or now - self._moved_s < STILL_S:
+            return None
+        self._fine = True
+        self._plotter.enable_anti_aliasing("ssaa")
+        try:
+            return self._drawn()
+        finally:
+            self._plotter.disable_anti_aliasing()
+
+    def _drawn(self) -> bytes:
+        from PIL import Image
+
+        self._plotter.render()
+        output = BytesIO()
+        Image.fromarray(np.asarray(self._plotter.image)[..., :3]).save(output, "JPEG", quality=QUALITY, subsampling=0)
+        return output.getvalue()
+
+    def _viewed(self) -> None:
+        self._plotter.renderer.ResetCameraClippingRange()
+        self._turned = self.changed = True
+
+
+STOPS, MARKS = 24, 5
+"""Colours and labels along a scale."""
+
+
+def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
+    """Hide a plotter's scale of colours, and give its title, colours as ``#rrggbb`` from low to high, and labels.
+
+    None where it has none.
+    """
+    from matplotlib.colors import to_hex
+
+    found = None
+    for title, bar in plotter.scalar_bars.items():
+        bar.SetVisibility(False)
+        table = bar.GetLookupTable()
+        low, high = table.GetTableRange()
+        spaced = np.geomspace if table.UsingLogScale() else np.linspace
+        colours = []
+        for value in spaced(low, high, STOPS).tolist():
+            colour = [0.0, 0.0, 0.0]
+            table.GetColor(value, colour)
+            colours.append(to_hex((colour[0], colour[1], colour[2])))
+        digits = max(2 - floor(log10(max(high - low, 1e-12))), 0)
+        kind = ".2g" if table.UsingLogScale() or digits > 4 else f".{digits}f"
+        labels = [format(value, kind) for value in spaced(low, high, MARKS).tolist()]
+        found = {"title": title.split("\n")[0], "colours": colours, "labels": labels}
+    return found

@@ -1,0 +1,201 @@
+"""The page of `tissue view DIR --web`, run by ``python -m tissue.show.viewer.web.view_page DIR CHOICE`` in a subprocess."""
+
+import json
+import sys
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_hex
+
+from tissue.show.figures.figure import field_words
+from tissue.show.viewer.plotter import aim, new_plotter
+from tissue.show.viewer.run_scene import Choice, RunScene
+from tissue.show.viewer.saved_surfaces import tool_force
+from tissue.show.viewer.web.messages import Values
+from tissue.show.viewer.web.server import serve
+from tissue.show.viewer.web.stage import Stage, taken_scale
+from tissue.simulation.run_folder import SavedRun
+
+__all__ = ["ViewPage"]
+
+SIZE = (960, 720)
+"""Until the page states its own [pixel]."""
+MARGINS = (0.05, 0.82, 0.06, 0.94)
+"""Layers and the scale of colours lie at the right."""
+MOST_ROWS = 2000
+"""Rows of the trace that the page plots."""
+SLOWEST_S = 4.0
+"""What takes less time than this is played slower, so that it lasts this long [s]."""
+DEPTH, LAYER = "removed depth", "layer"
+"""What the bone is coloured by, among the names of fields."""
+
+
+class ViewPage:
+    """A finished or stopped run: bone or fields, tool and force at the moment that the page asks for.
+
+    Parameters
+    ----------
+    saved
+        The run.
+    choice
+        What is shown at first.
+
+    Attributes
+    ----------
+    stage, shown
+        The view and what is in it.
+    time_s
+        The moment that is shown [s].
+    """
+
+    kind = "view"
+
+    def __init__(self, saved: SavedRun, choice: Choice) -> None:
+        self._saved = saved
+        self.over = False
+        self._playing = False
+        self._plotter = new_plotter(SIZE, off_screen=True)
+        shown = self.shown = RunScene(saved, choice, self._plotter, annotated=False)
+        self._legend = {name: to_hex(colour) for name, colour in shown.colours.items()}
+        self._choices = self._all_choices()
+        self.hidden: frozenset[str] = frozenset()
+        if choice.hide:
+            self._hide(frozenset(choice.hide))
+        self.chosen = self._choose(choice.field or next(iter(self._choices), ""))
+        self.time_s = self._shown_s = shown.start_s
+        shown.at(self.time_s)
+        extent_mm = shown.extent_mm(near_tip=True)
+        aim(self._plotter, extent_mm, margins=MARGINS)
+        self.stage = Stage(self._plotter, lambda: aim(self._plotter, extent_mm, margins=MARGINS))
+        self._last_s = perf_counter()
+        self._dirty = True
+        self._changed()
+
+    def hello(self) -> dict[str, Any]:
+        """Return names, colours, choices, and the force over time."""
+        self.stage.changed = self._dirty = True
+        return {
+            "scene": str(self._saved.summary.get("scene", "run")),
+            "legend": self._legend,
+            "hidden": sorted(self.hidden),
+            "choices": list(self._choices.items()),
+            "span_s": self.shown.span_s,
+            "rows": self._rows(),
+        }
+
+    def attend(self, attended: bool) -> None:
+        """Stop to play where nobody looks."""
+        self._playing = self._playing and attended
+
+    def leave(self) -> None:
+        """End."""
+        self.over = True
+
+    def take(self, do: str, values: Values) -> None:
+        """Go to a moment, play, choose what is shown, turn the view or end."""
+        if self.stage.take(do, values):
+            pass
+        elif do == "time":
+            self.time_s = float(np.clip(float(values["time_s"]), *self.shown.span_s))
+        elif do == "play":
+            self._playing = bool(values["on"])
+            self._last_s = perf_counter()
+            if self._playing and self.time_s >= self.shown.span_s[1]:
+                self.time_s = self.shown.span_s[0]
+        elif do == "field" and values["name"] in self._choices:
+            self.chosen = self._choose(str(values["name"]))
+            self._changed()
+        elif do == "layer" and values["name"] in self._legend:
+            self._hide(self.hidden ^ {str(values["name"])})
+            self.chosen = self._choose(LAYER if self.chosen == DEPTH else self.chosen)
+            self._changed()
+        elif do == "end":
+            self.leave()
+        self._dirty = True
+
+    def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
+        """Go on in time where it plays, and show the moment."""
+        now = perf_counter()
+        passed = now - self._last_s
+        self._last_s = now
+        first, last = self.shown.span_s
+        if self._playing:
+            self.time_s = min(self.time_s + passed * min((last - first) / SLOWEST_S, 1.0), last)
+            self._playing = self.time_s < last
+        if not drawing:
+            return None, None
+        if self.time_s != self._shown_s or self._dirty:
+            if self.time_s != self._shown_s:
+                self._shown_s = self.time_s
+                self.shown.at(self.time_s)
+                self._changed()
+            self._dirty = False
+            return self._figures(), self.stage.picture()
+        return None, self.stage.picture()
+
+    def _changed(self) -> None:
+        """Draw again; the page draws the scale of colours."""
+        self._scale = taken_scale(self._plotter)
+        self.stage.changed = True
+
+    def _all_choices(self) -> dict[str, str]:
+        """Return the names of what can be shown, and the words for each."""
+        shown = self.shown
+        choices = {}
+        if shown.bone is not None:
+            choices = {DEPTH: DEPTH, LAYER: LAYER} if shown.bone.is_cut else {LAYER: LAYER}
+        if shown.series is not None:
+            choices |= {name: field_words(name) for name in shown.series.names}
+        return choices
+
+    def _choose(self, name: str) -> str:
+        """Show a field, or the bone by removed depth or layer, and return its name."""
+        of_bone = name in (DEPTH, LAYER) or self.shown.series is None
+        bone = self.shown.bone
+        if of_bone and bone is not None and bone.by_depth != (name == DEPTH):
+            bone.change()
+        self.shown.show(None if of_bone else name)
+        return name
+
+    def _hide(self, hidden: frozenset[str]) -> None:
+        self.hidden = hidden
+        self.shown.hide(hidden)
+
+    def _rows(self) -> list[list[float]]:
+        """Return time [s], force [N] and its magnitude, of as many rows as a page can draw."""
+        trace = self._saved.trace
+        if trace is None or not len(trace.rows):
+            return []
+        every = slice(None, None, max(len(trace.rows) // MOST_ROWS, 1))
+        force = tool_force(trace)[every]
+        rows = np.column_stack([trace["time_s"][every], force, np.linalg.norm(force, axis=1)])
+        return np.round(rows, 4).tolist()
+
+    def _figures(self) -> dict[str, Any]:
+        """Return the data of the moment that the page writes."""
+        figures: dict[str, Any] = {"time_s": self.time_s, "playing": self._playing, "chosen": self.chosen}
+        figures["scale"] = self._scale
+        trace = self._saved.trace
+        if self.shown.moment is not None and trace is not None:
+            row = self.shown.moment.row(self.time_s)
+            removed = trace.get("removed_mm3")
+            kind = "model_torque" if "model_torque_x_Nm" in trace else "torque"
+            figures |= {
+                "force_N": np.round(tool_force(trace)[row], 4).tolist(),
+                "torque_Nm": round(float(np.linalg.norm([trace[f"{kind}_{c}_Nm"][row] for c in "xyz"])), 6),
+                "removed_mm3": float(removed[row]) if removed is not None and removed[-1] > 0.0 else None,
+                "layer": str(trace["layer"][row]) if "layer" in trace else None,
+            }
+        return figures
+
+
+def _make() -> ViewPage:
+    folder, chosen = sys.argv[1:]
+    choice = json.loads(chosen)
+    return ViewPage(SavedRun(Path(folder)), Choice(**choice | {"hide": tuple(choice["hide"])}))
+
+
+if __name__ == "__main__":
+    serve(_make, beside_ticks=False)

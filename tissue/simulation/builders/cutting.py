@@ -1,0 +1,263 @@
+"""Build what a cutter meets: bone or a tooth, as voxels."""
+
+from math import pi, radians
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress, silent
+from meshes.voxels.volume import VoxelVolume
+from tissue.cutters import profile
+from tissue.cutters.cutter import Cutter
+from tissue.materials.constants import CUT_AS
+from tissue.materials.scene_constants import energy_note
+from tissue.models.tissue_model import TICK_S, TissueModel
+from tissue.motion.motion import Motion
+from tissue.scene.anatomy import MolarAnatomy, Tooth
+from tissue.scene.part import is_given
+from tissue.scene.registry import CUTTERS
+from tissue.scene.scene import Scene, Stress
+from tissue.scene.tool import PathMotion, ReplayMotion, Tool
+from tissue.simulation.builders.motions import motion_of, recorded_file
+from tissue.simulation.builders.parts import Parts
+from tissue.simulation.builders.start_pose import w_first_notice
+from tissue.simulation.builders.voxels import reach, require_outside, require_touch, structures, volume_of, whole_tooth
+
+if TYPE_CHECKING:
+    from tissue.models.bone.model import BoneModel
+    from tissue.models.keep_clear import KeepClear
+
+__all__ = ["cutter_of", "milled", "milled_voxels", "milling_of"]
+
+HEAT_CELL = 0.25
+"""Edge of the cells of the temperature where the bur can go, relative to those of the stress: 0.125 mm by default. The
+rise of the pulp in the molar scene is 0.614, 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm."""
+SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
+"""Units of a scene's tool: their SI unit and its share."""
+
+
+def milled(scene: Scene, motion: Motion, *, step_s: float, compute: str, cores: int | None, report: Progress) -> Parts:
+    """Parts of a scene in which a cutter meets voxels.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used, the voxels would not fit memory, the tool never touches, or it neither turns nor is
+        held by a hand.
+    """
+    assert isinstance(scene.tool, Tool)
+    cutter, notes = cutter_of(scene.tool), dict[str, str]()
+    report("building the anatomy", 0.0)
+    volume = volume_of(scene, cutter, motion, notes=notes, report=report)
+    require_touch(volume, cutter, motion)
+    if isinstance(scene.anatomy, Tooth) and not isinstance(scene.motion, ReplayMotion):
+        require_outside(volume, cutter, motion)
+    if cutter.spin_rad_s == 0.0:
+        return _probe(scene, volume, cutter, motion, compute=compute, notes=notes, report=report)
+    _require_chips(scene, cutter)
+    _require_effect(scene, volume)
+    there = np.unique(volume.layer).tolist()
+    notes["specific cutting energy"] = energy_note(
+        tuple(volume.layer_names[at] for at in there),
+        scene.constants,
+        bone=scene.cutting.material,
+        stated=scene.cutting.tangential_chip_N_mm2,
+    )
+    tissue = _bone(scene, volume, cutter, motion, compute=compute, cores=cores, report=report)
+    clear = _clear(scene, volume, cutter, motion, notes=notes, report=report)
+    parts = Parts(
+        motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes, keep_clear=clear
+    )
+    if (file := recorded_file(scene)) and (notice := w_first_notice(volume, cutter, motion, file)):
+        parts.events.append((0.0, notice))
+    return parts
+
+
+def _clear(
+    scene: Scene,
+    volume: VoxelVolume,
+    cutter: Cutter,
+    motion: Motion,
+    *,
+    notes: dict[str, str],
+    report: Progress,
+) -> "KeepClear | None":
+    """What measures the distance from structures to keep clear of; None where the scene names none."""
+    if scene.keep_clear is None:
+        return None
+    from tissue.simulation.builders.keep_clear import keep_clear
+
+    return keep_clear(
+        scene.keep_clear,
+        structures(scene),
+        cutter,
+        motion,
+        placement=volume.placement,
+        notes=notes,
+        report=report,
+    )
+
+
+def milled_voxels(scene: Scene) -> VoxelVolume:
+    """The voxels of such a scene before the first cut; raises as `milled`."""
+    assert isinstance(scene.tool, Tool)
+    return volume_of(scene, cutter_of(scene.tool), motion_of(scene, step_s=TICK_S), notes={}, report=silent)
+
+
+def cutter_of(tool: Tool) -> Cutter:
+    """The cutter that a scene's tool describes, in SI; a spin above 0 is clockwise as seen from the shank."""
+    sizes, entry = {}, CUTTERS[tool.kind]
+    for key in ("diameter_mm", *entry.keys):
+        name, _, unit = key.rpartition("_")
+        si, factor = SI[unit]
+        sizes[f"{name}_{si}"] = factor * getattr(tool, key)
+    section = entry.profile or getattr(profile, tool.kind.replace("-", "_"))
+    return Cutter(section(**sizes), tool.flutes, -tool.spin_rpm * 2.0 * pi / 60.0)
+
+
+def _require_chips(scene: Scene, cutter: Cutter) -> None:
+    """Refuse a given feed at which a tooth would take a chip thicker than the tool's radius."""
+    if scene.device is not None or not isinstance(scene.motion, PathMotion):
+        return
+    chip_mm, radius_mm = scene.motion.feed_mm_s * cutter.chip_per_speed_s, 1e3 * cutter.profile.radius_m
+    if chip_mm > radius_mm:
+        raise InputError(
+            f"motion.feed_mm_s must leave a tooth chips thinner than the tool's radius of {radius_mm:.3g} mm, got "
+            f"{scene.motion.feed_mm_s:g} which makes them {chip_mm:.3g} mm: use a slower feed, or a higher "
+            "tool.spin_rpm"
+        )
+
+
+def _require_effect(scene: Scene, volume: VoxelVolume) -> None:
+    """Refuse keys that have no effect on the voxels that the tool can reach."""
+    anatomy, cutting = scene.anatomy, scene.cutting
+    filled = volume.fraction > 0
+    if is_given(cutting, "density_exponent"):
+        cited = scene.constants.coefficients(volume.layer_names, {}, bone=cutting.material)
+        reference = np.array([each.reference_density_kg_m3 for each in cited])
+        if (volume.density_kg_m3[filled] == reference[volume.layer[filled]]).all():
+            raise InputError(
+                "cutting.density_exponent must be left out where all that the tool can reach has the density of the "
+                f"coefficients, got {cutting.density_exponent:g}: set cutting.tangential_chip_N_mm2, "
+                "cutting.radial_chip_N_mm2 or another coefficient, or remove it"
+            )
+    if is_given(cutting, "material") and all(volume.layer_names[i] in CUT_AS for i in np.unique(volume.layer[filled])):
+        raise InputError(
+            "cutting.material must be left out where the tool reaches no bone, for layers of a tooth have their own, "
+            f"got {cutting.material}: set a coefficient such as cutting.tangential_chip_N_mm2, or remove it"
+        )
+    if isinstance(anatomy, MolarAnatomy) and scene.stress is None and is_given(anatomy, "ligament_thickness_mm"):
+        at = volume.layer_names.index("ligament")
+        if not (volume.layer[filled] == at).any():
+            raise InputError(
+                "anatomy.ligament_thickness_mm must be left out where the tool reaches no ligament and no stress is "
+                f"computed, got {anatomy.ligament_thickness_mm:g}: add [stress], or remove it"
+            )
+
+
+def _probe(
+    scene: Scene,
+    volume: VoxelVolume,
+    cutter: Cutter,
+    motion: Motion,
+    *,
+    compute: str,
+    notes: dict[str, str],
+    report: Progress,
+) -> Parts:
+    """Parts of a scene whose tool does not turn: a hand feels the rigid bone with it."""
+    from tissue.haptics.hand_motion import HandMotion
+    from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
+    from tissue.haptics.proxy.tool_shell import ToolShell
+
+    if not (isinstance(motion, HandMotion) and isinstance(motion.tool, ProbingTool)):
+        raise InputError(
+            "tool.spin_rpm must not be 0 without a device, because a tool that does not turn cuts nothing and a motion "
+            "that is given would push it through the bone, got 0: use 500, or device = touch"
+        )
+    report("compiling kernels (the first time on a machine)", 0.0)
+    notes["tool"] = "it does not turn: rigid contact, nothing is cut, no stress and no heat are computed"
+    shell = ToolShell.of_cutter(cutter)
+    tissue = ProbedBone(volume, shell, area_m2=cutter.cutting_area_m2, tool=motion.tool, device=compute)
+    clear = _clear(scene, volume, cutter, motion, notes=notes, report=report)
+    return Parts(
+        motion, tissue, cutter=cutter, volume=volume, placement=volume.placement, notes=notes, keep_clear=clear
+    )
+
+
+def _bone(
+    scene: Scene,
+    volume: VoxelVolume,
+    cutter: Cutter,
+    motion: Motion,
+    *,
+    compute: str,
+    cores: int | None,
+    report: Progress,
+) -> TissueModel:
+    """The bone model; loading it compiles its kernels where their cache is cold."""
+    report("compiling kernels (the first time on a machine)", 0.0)
+    spacing_mm = scene.tool.shell_spacing_mm if isinstance(scene.tool, Tool) else None
+    spacing_m = None if spacing_mm is None else spacing_mm * 1e-3
+    milling = milling_of(scene, volume, cutter, shell_spacing_m=spacing_m, compute=compute, cores=cores)
+    if "pulp" not in volume.layer_names:
+        return milling
+    return _tooth(scene, milling, motion, compute=compute, report=report)
+
+
+def milling_of(
+    scene: Scene,
+    volume: VoxelVolume,
+    cutter: Cutter,
+    *,
+    shell_spacing_m: float | None,
+    compute: str = "cpu",
+    cores: int | None = None,
+) -> "BoneModel":
+    """A cutter in voxels of a scene's materials; `shell_spacing_m` is the distance of the cutter's elements [m]."""
+    from tissue.simulation.builders.bone import VoxelBone
+
+    changes = scene.cutting.model_dump(exclude={"material"})
+    coefficients = scene.constants.coefficients(volume.layer_names, changes, bone=scene.cutting.material)
+    bone = VoxelBone(volume, coefficients, compute=compute)
+    return bone.model(cutter, removal=scene.voxels.removal, shell_spacing_m=shell_spacing_m, cores=cores)
+
+
+def _tooth(scene: Scene, milling: "BoneModel", motion: Motion, *, compute: str, report: Progress) -> TissueModel:
+    """The tooth around the milled voxels, with its stress where the scene asks for it."""
+    from tissue.models.tooth import stress_process
+    from tissue.models.tooth.cutting_heat import CuttingHeat
+    from tissue.models.tooth.model import ToothModel
+
+    anatomy = scene.anatomy
+    if not isinstance(anatomy, Tooth) or not (scene.stress or scene.heat):
+        return ToothModel(milling, device=compute)
+    stress = scene.stress or Stress()
+    cell_m = stress.cell_mm * 1e-3
+    field = None
+    if scene.stress is not None:
+        report("assembling the tooth's stiffness", 0.0)
+        whole = whole_tooth(scene, spacing_m=0.5 * cell_m, report=report)
+        field = stress_process.StressProcess(
+            whole,
+            milling.store,
+            cell_m=cell_m,
+            ligament_thickness_m=anatomy.ligament_thickness_mm * 1e-3,
+            contact_m=milling.cutter.profile.radius_m,
+            constants=scene.constants,
+            device=compute,
+            cores=1,  # the ticks want a core of their own
+        )
+    heat = None
+    if scene.heat:
+        report("building the grid of the temperature", 0.0)
+        heat = CuttingHeat(
+            whole_tooth(scene, spacing_m=max(HEAT_CELL * cell_m, milling.store.grid.spacing_m), report=report),
+            milling,
+            reach_m=reach(milling.cutter, motion, 0.0),
+            constants=scene.constants,
+            device=compute,
+        )
+    interval_s = stress.interval_ms * 1e-3
+    return ToothModel(milling, stress=field, interval_s=interval_s, heat=heat, device=compute)

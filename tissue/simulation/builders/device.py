@@ -1,0 +1,64 @@
+"""The real device that a scene names, where what was registered opens one."""
+
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import Device, DeviceParameters
+from tissue.haptics.device.safe_device import SafeDevice
+from tissue.models.tissue_model import TICK_S
+from tissue.scene.registry import DEVICES
+from tissue.scene.scene import Scene
+from tissue.simulation.builders.motions import motion_of
+
+__all__ = ["opened_device", "opens_device", "require_stated_rate"]
+
+
+def opens_device(scene: Scene) -> bool:
+    """Whether a scene names a device whose real one can be opened."""
+    return scene.device is not None and DEVICES[scene.held.kind].is_real
+
+
+def opened_device(scene: Scene) -> Device | None:
+    """A new device: of its adapter, or as `tissue.register.device` was given it; None for one that is simulated.
+
+    Raises
+    ------
+    InputError
+        If what was made is no device.
+    """
+    if not opens_device(scene):
+        return None
+    entry = DEVICES[scene.held.kind]
+    x, y, z = motion_of(scene, step_s=TICK_S).sweep_m()[0].tolist()
+    if entry.has_adapter:
+        from tissue.haptics.real.mapped import MappedDevice
+        from tissue.haptics.real.search import adapter_class
+
+        hardware = scene.held.hardware
+        return MappedDevice(adapter_class(scene.held.kind)(hardware), hardware, start_m=(x, y, z))
+    assert entry.make is not None
+    device: Device = entry.make((x, y, z))
+    if missing := [name for name in ("read", "command") if not callable(getattr(device, name, None))]:
+        raise InputError(
+            f"device must have read and command, got {type(device).__name__} without {' and '.join(missing)} for "
+            f"{scene.held.kind}: see `tissue.haptics.device.device.Device`"
+        )
+    return device
+
+
+def require_stated_rate(device: Device | SafeDevice, limits: DeviceParameters, *, remedy: str) -> None:
+    """Refuse a device that states fewer samples a second than the constants by which its loop is judged.
+
+    A device states its rate by ``limits`` or ``parameters``; a device without either is taken at the constants' rate.
+
+    Raises
+    ------
+    InputError
+        If the device is slower than its constants.
+    """
+    held = device.device if isinstance(device, SafeDevice) else device
+    for name in ("limits", "parameters"):
+        stated = getattr(held, name, None)
+        if isinstance(stated, DeviceParameters) and stated.rate_Hz < min(limits.rate_Hz, 1.0 / TICK_S) * (1.0 - 1e-6):
+            raise InputError(
+                f"device must give the {limits.rate_Hz:g} samples a second of its constants, got "
+                f"{stated.rate_Hz:g} by {type(held).__name__}: {remedy}"
+            )

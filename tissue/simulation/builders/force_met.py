@@ -1,0 +1,143 @@
+"""The force that a scene's tool meets on its scripted motion, found cheaply, and the scale that it asks of a device."""
+
+from functools import lru_cache
+from math import floor, log10, sqrt
+
+import numpy as np
+
+from meshes.base.progress import silent
+from tissue.haptics.device.device import DeviceParameters, device_parameters
+from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
+from tissue.motion.motion import Motion
+from tissue.scene.organ import LayersAnatomy
+from tissue.scene.registry import ANATOMIES
+from tissue.scene.scene import Scene
+from tissue.scene.tool import Needle, Probe, ThrustMotion, Tool
+from tissue.simulation.builders.motions import motion_of
+from tissue.simulation.builders.pierced_tissue import pierced_tissue
+
+__all__ = ["chosen_scale", "cut", "fitted_scale", "pierced", "pressed"]
+
+POSES, FINE_POSES = 250, 3000
+"""Poses of the scripted motion at which the force is asked for: of a cutter, and of a needle, which breaks through in
+tenths of a millimetre."""
+ACROSS = 8.0
+"""Voxels across a cutter: up to 32 of them the largest force of the built-in scenes changes by less than 4 %."""
+ELEMENTS = 1500
+"""Elements of a cutter."""
+MOST = 0.35
+"""Largest force of the script over the device's limit: half of the share that is played without compression, so that a
+hand may press twice as hard."""
+LEAST = 4.0
+"""Largest force of the script over the device's friction, where its limit allows for that; assumed."""
+
+
+def chosen_scale(scene: Scene) -> tuple[float, str]:
+    """Newtons at the device for each one at the tool, and from what they were chosen.
+
+    Forces pass as they are where that lies between what friction hides and what the limit leaves, else by one factor to
+    the nearer of both, with two digits; and as they are without a device, or where no force is known beforehand.
+
+    Raises
+    ------
+    InputError
+        If the scene's bone cannot be built.
+    """
+    if scene.device is None:
+        return 1.0, ""
+    given = scene.device.coupling.force_scale
+    if given != "auto":
+        return given, ""
+    limits = device_parameters(scene.held.kind, scene.constants)
+    force = _met(
+        scene.model_dump_json(exclude={"seed", "duration_s", "device", "fidelity"}),
+        scene.constants.key,
+    )
+    if not force > 0.0:
+        return 1.0, ""
+    return fitted_scale(force, limits), f", chosen for the {force:.3g} N that the script meets at most"
+
+
+def fitted_scale(force_N: float, limits: DeviceParameters) -> float:
+    """The scale, of two digits, that brings a force [N] between a device's friction and its limit."""
+    low, high = LEAST * limits.friction_N / force_N, MOST * limits.force_limit_N / force_N
+    scale = min(max(1.0, low), high)
+    digits = 1 - floor(log10(scale))
+    return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
+
+
+@lru_cache(maxsize=64)
+def _met(table: str, _constants: str) -> float:
+    """Largest force on the scripted motion [N] by what the scene's own constants hold; 0 where it is not known."""
+    scene = Scene.model_validate_json(table)
+    kind = scene.anatomy.kind
+    if ANATOMIES[kind].build is None:
+        known = {"slab": pressed, "liver": pressed, "layers": pierced, "wall": _unknown}
+        return known.get(kind, cut)(scene)
+    met = ANATOMIES[kind].force_N
+    return 0.0 if met is None else float(met(scene))
+
+
+def _unknown(scene: Scene) -> float:
+    """Return 0: no force is known before a run."""
+    return 0.0
+
+
+def cut(scene: Scene) -> float:
+    """Largest force of a cutter along the script in coarse voxels [N], or the thrust of a tool that is pushed."""
+    from tissue.simulation.builders.cutting import cutter_of, milling_of
+    from tissue.simulation.builders.voxels import volume_of
+
+    assert isinstance(scene.tool, Tool)
+    if isinstance(scene.motion, ThrustMotion):
+        return scene.motion.thrust_N
+    if scene.tool.spin_rpm == 0.0:
+        return 0.0
+    spacing_mm = max(scene.voxels.spacing_mm, scene.tool.diameter_mm / ACROSS)
+    voxels = scene.voxels.model_copy(update={"spacing_mm": spacing_mm, "margin_mm": 0.0})
+    coarse = scene.model_copy(update={"voxels": voxels})
+    cutter, motion = cutter_of(scene.tool), motion_of(scene, step_s=TICK_S)
+    volume = volume_of(coarse, cutter, motion, notes={}, report=silent)
+    spacing_m = (cutter.cutting_area_m2 / ELEMENTS) ** 0.5
+    return _largest(motion, milling_of(coarse, volume, cutter, shell_spacing_m=spacing_m), POSES)
+
+
+def pressed(scene: Scene) -> float:
+    """Force of a probe that presses a half space as deep as the script goes below the origin [N].
+
+    Hertz's for a ball and Boussinesq's for the flat end of a cylinder, of the stiffest tissue on the script without a
+    nodule; 0 for a probe of another shape.
+    """
+    organ, tool = scene.organ, scene.tool
+    assert isinstance(tool, Probe)
+    cited = scene.constants.constants("soft", organ.material)
+    young = max(organ.young_kPa or cited["modulus_kPa"].value, organ.young_end_kPa or 0.0)
+    ratio = cited["poisson_ratio"].value if organ.poisson_ratio is None else organ.poisson_ratio
+    modulus, radius = 1e3 * young / (1.0 - ratio**2), 0.5e-3 * tool.size_mm
+    depth = max(-float(motion_of(scene, step_s=TICK_S).sweep_m()[:, 2].min()), 0.0)
+    if tool.kind == "sphere-probe":
+        return float(4.0 / 3.0 * modulus * radius**0.5 * depth**1.5)
+    return 2.0 * modulus * radius * depth if tool.kind == "cylinder-probe" else 0.0
+
+
+def pierced(scene: Scene) -> float:
+    """Largest force of a needle on the scripted motion [N]."""
+    from tissue.models.needle.model import NeedleModel
+
+    assert isinstance(scene.tool, Needle) and isinstance(scene.anatomy, LayersAnatomy)
+    tissue = pierced_tissue(scene)
+    motion = motion_of(scene, step_s=TICK_S)
+    return _largest(motion, NeedleModel(tissue, diameter_m=1e-3 * scene.tool.diameter_mm), FINE_POSES)
+
+
+def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:
+    """Largest force of a tissue at poses of a motion, alike far apart in time [N]."""
+    tool, response, most = ToolMotion(), Response.empty(len(tissue.layer_names)), 0.0
+    motion.begin(tool)
+    tissue.place(tool)
+    for time_s in np.linspace(0.0, motion.duration_s, poses).tolist():
+        motion.advance(time_s, TICK_S, response, tool)
+        tissue.advance(tool)
+        force = tissue.respond(tool).wrench[:3]
+        most = max(most, sqrt(force.dot(force)))
+    return most

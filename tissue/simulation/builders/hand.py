@@ -1,0 +1,137 @@
+"""Put a scene's motion into a hand on a device."""
+
+from collections.abc import Callable
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.base.errors import InputError
+from meshes.shapes.polyline import arc_length
+from tissue.haptics.device.device import DeviceParameters
+from tissue.haptics.device.simulated import SimulatedDevice
+from tissue.haptics.hand.hand import Hand, HandParameters
+from tissue.haptics.hand.minimum_jerk import Path, waypoints
+from tissue.haptics.hand_motion import HandMotion
+from tissue.haptics.proxy.guidance import CompensatedPath, Thrust
+from tissue.haptics.proxy.held_tool import HeldTool
+from tissue.haptics.proxy.probing_tool import ProbingTool
+from tissue.motion.motion import Motion, quaternion_of
+from tissue.scene.coupling import WallAnatomy
+from tissue.scene.scene import Scene
+from tissue.scene.tool import ReplayMotion, ThrustMotion, Tool
+from tissue.simulation.builders.device_motion import device_motion
+from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.loop import person_of
+from tissue.simulation.builders.loop_settings import loop_settings
+from tissue.simulation.builders.motions import plays_record
+
+__all__ = ["hand_motion"]
+
+Array = NDArray[np.float64]
+STRAY_M = 2e-3
+"""How far from the scripted path an organ's surface may be met [m]."""
+
+
+def hand_motion(scene: Scene, scripted: Motion, *, step_s: float, allow_unstable: bool) -> tuple[HandMotion, str]:
+    """The scene's motion as its hand makes it on its device, and what was chosen and found of that.
+
+    Raises
+    ------
+    InputError
+        If the coupling is unstable and that is not allowed, or the motion leaves the device's workspace.
+    """
+    settings = loop_settings(scene)
+    limits, person, scale = settings.limits, settings.person, scene.held.coupling.motion_scale
+    if not plays_record(scene):
+        _require_workspace(scene, scripted, limits)
+    start = scripted.sweep_m()[0]
+    rng, feeling = np.random.default_rng(scene.seed).spawn(2)
+
+    def device(tool: HeldTool, stiffness_N_m: float) -> SimulatedDevice:
+        """The device in the scene's hand, which makes the scripted motion."""
+        path, push = _aims(scene, scripted, tool, limits, person, stiffness_N_m, step_s=step_s)
+        turn = _turn(scripted, step_s=step_s) if isinstance(scene.motion, ReplayMotion) else None
+        at_device: Path = lambda time_s: start + (path(time_s) - start) / scale  # noqa: E731
+        hand = Hand(person, at_device, rng=rng, step_s=settings.sample_s, push=push, turn=turn)
+        x, y, z = start.tolist()
+        return SimulatedDevice(limits, hand, position_m=(x, y, z))
+
+    scale_and_note = chosen_scale(scene)
+    motion, notes = device_motion(
+        settings,
+        scripted,
+        device,
+        force_scale=scale_and_note[0],
+        scale_note=scale_and_note[1],
+        stray_m=_stray_m(scene),
+        after_s=person.reaction_s + person.submovement_s + person.correction_s,
+        rng=feeling,
+        step_s=step_s,
+        allow_unstable=allow_unstable,
+    )
+    return (
+        motion,
+        f"{scene.held.kind} in the hand of {person_of(scene.held.hand)}, {scene.held.renderer}: {'; '.join(notes)}",
+    )
+
+
+def _stray_m(scene: Scene) -> float:
+    """How far around the scripted motion tissue is made ready for the tool [m]."""
+    if scene.held.coupling.roam_mm is not None:
+        return 1e-3 * scene.held.coupling.roam_mm
+    return 0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
+
+
+def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
+    """Refuse a motion that leaves the device's workspace, whose box may lie along the axes as it fits."""
+    workspace, extent = limits.workspace_m, np.sort(np.ptp(scripted.sweep_m(), axis=0))
+    scale = scene.held.coupling.motion_scale
+    if (extent > scale * workspace).any():
+        fits = ceil(100.0 * float((extent / workspace).max()) - 1e-9) / 100.0
+        sizes = lambda edges: " x ".join(f"{1e3 * each:.0f}" for each in edges[::-1])  # noqa: E731
+        raise InputError(
+            f"coupling.motion_scale must be at least {fits:g} for a motion of {sizes(extent)} mm in the workspace of "
+            f"{scene.held.kind}, {sizes(workspace)} mm, got {scale:g}: use {fits:g}"
+        )
+
+
+def _aims(
+    scene: Scene,
+    scripted: Motion,
+    tool: HeldTool,
+    limits: DeviceParameters,
+    person: HandParameters,
+    stiffness_N_m: float,
+    *,
+    step_s: float,
+) -> tuple[Path, Callable[[float], Array] | None]:
+    """Where the hand aims, and what it pushes with besides."""
+    corners, scale = scripted.sweep_m(), scene.held.coupling.motion_scale
+    furthest = scale * limits.force_limit_N * (1.0 / stiffness_N_m + 1.0 / person.stiffness_N_m)
+    if isinstance(scene.motion, ThrustMotion):
+        push_N = min(chosen_scale(scene)[0] * scene.motion.thrust_N, limits.force_limit_N)
+        thrust = Thrust(corners[0], corners[-1] - corners[0], tool, push_N, scale * push_N / stiffness_N_m)
+        return thrust.path, thrust.push
+    path = waypoints(*_timed(scripted, recorded=isinstance(scene.motion, ReplayMotion), step_s=step_s))
+    if isinstance(scene.anatomy, WallAnatomy) or isinstance(tool, ProbingTool):
+        return path, None  # no force brings a tool to where a wall or a bone is
+    return CompensatedPath(path, tool, person.submovement_s - 0.5 * person.correction_s, furthest), None
+
+
+def _turn(scripted: Motion, *, step_s: float) -> Callable[[float], Array]:
+    """Turns of a recorded motion from its first orientation, as unit quaternions over time [s]."""
+    turns = scripted.rotations()
+    quaternions = np.array([quaternion_of(turn @ turns[0].T) for turn in turns])
+    return lambda time_s: quaternions[min(round(time_s / step_s), len(quaternions) - 1)]
+
+
+def _timed(scripted: Motion, *, recorded: bool, step_s: float) -> tuple[Array, Array]:
+    """Times [s] and points [m] of a recorded motion, a point a tick, or of a path at its feed."""
+    corners_m = scripted.sweep_m()
+    if recorded:
+        return step_s * np.arange(len(corners_m), dtype=np.float64), corners_m
+    along = arc_length(corners_m)
+    keep = np.diff(along, prepend=-1.0) > 0.0
+    times = along * (scripted.duration_s / along[-1])
+    return times[keep], corners_m[keep]

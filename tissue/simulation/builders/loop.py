@@ -1,0 +1,244 @@
+"""The loops of a device, for its positions and for its turns, judged before it runs."""
+
+from dataclasses import dataclass, replace
+from math import ceil, isfinite
+
+import numpy as np
+
+from meshes.base.errors import InputError
+from tissue.haptics.device.device import DeviceParameters
+from tissue.haptics.loop.critical_stiffness import Verdict, critical_stiffness_N_m, in_hands, judge, nearest_stable_N_m
+from tissue.haptics.loop.filters import VELOCITY_MEMORY
+from tissue.haptics.loop.forecast import Forecast, forecast_of
+from tissue.haptics.loop.motor_path import motor_lag_ticks
+from tissue.haptics.loop.sampled_loop import WallLoop
+from tissue.models.tissue_model import TICK_S
+from tissue.prediction.guard import Guarded
+from tissue.simulation.builders.loop_settings import LoopSettings, sampled
+
+__all__ = [
+    "JudgedLoop",
+    "device_path",
+    "judged_loop",
+    "judged_loops",
+    "lead_ticks",
+    "motor_path",
+    "person_of",
+]
+
+SHARE = 0.5
+"""Share of the critical stiffness that is chosen where none is given: that in the hand at hand. Half of the one
+without a hand would be a seventh to a ninth of it; a device that is let go on a wall leaves it in some hundredths of a
+second at either, see tests/stability/test_wall_laws.py."""
+
+REST_SHARE = 0.3
+"""Share of the device's greatest force at which a predictor is linearised."""
+
+USUAL_N_M = 1000.0
+"""Stiffness about which a predictor is linearised where neither scene nor device states one: of a desktop device."""
+
+
+@dataclass(frozen=True)
+class JudgedLoop:
+    """A loop with the delay that is really there, and what is known of it.
+
+    Attributes
+    ----------
+    loop
+        With the stiffness that was given or chosen; for turns in N m/rad and so on.
+    verdict
+        In the hand.
+    unit
+        Of the stiffness.
+    alone
+        Critical stiffness of a device that was let go.
+    saves
+        What else than a hand stops its ringing.
+    """
+
+    loop: WallLoop
+    verdict: Verdict
+    unit: str
+    alone: float
+    saves: str
+
+    def sentence(self) -> str:
+        """What was chosen, and what is known of it."""
+        note = self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
+        if self.verdict.stable and self.loop.stiffness_N_m >= self.alone:
+            note += (
+                f", but only in a hand: let go where it is held from two sides, nothing but {self.saves} stops its "
+                f"ringing from {self.alone:.3g} {self.unit} on"
+            )
+        return note
+
+
+def judged_loops(
+    settings: LoopSettings, *, step_s: float, allow_unstable: bool
+) -> tuple[JudgedLoop, JudgedLoop | None]:
+    """The loops of a device's positions and, with a device that plays torque, of its turns.
+
+    Raises
+    ------
+    InputError
+        If one is unstable and that is not allowed.
+    """
+    grip = settings.person.grip
+    loops = [(judged_loop(settings, step_s=step_s), grip[:3], "stiffness_N_m", "N/m", _steepest(settings))]
+    if settings.limits.torque_limit_Nm > 0.0:
+        loops.append((_turning_loop(settings, step_s=step_s), grip[3:], "stiffness_Nm_rad", "N m/rad", 1.0))
+    saves = (
+        "friction and the passivity controller"
+        if settings.renderer == "passivity"
+        else "friction (or renderer = passivity)"
+    )
+    found: list[JudgedLoop] = []
+    for loop, hand, key, unit, steepest in loops:
+        verdict = _judged(loop, hand, steepest)
+        if not verdict.stable and not allow_unstable:
+            raise InputError(_refusal(settings, verdict, loop.stiffness_N_m, key))
+        found.append(JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest, saves))
+    return found[0], found[1] if len(found) > 1 else None
+
+
+def _judged(loop: WallLoop, hand: tuple[float, float, float], steepest: float) -> Verdict:
+    """The verdict on a loop whose force is made steeper by so much before it is played."""
+    verdict = judge(loop.with_stiffness(steepest * loop.stiffness_N_m), [hand])
+    critical = verdict.critical_N_m / steepest
+    nearest = loop.stiffness_N_m if verdict.stable else nearest_stable_N_m(critical)
+    return replace(verdict, critical_N_m=critical, nearest_N_m=nearest)
+
+
+def _steepest(settings: LoopSettings) -> float:
+    """Return the largest slope of the commanded force over the contact force."""
+    perception = settings.perception(np.random.default_rng(0))
+    return 1.0 if perception is None else perception.steepest
+
+
+def judged_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
+    """The loop by which a coupling is judged, with all the delay that is really there.
+
+    A tool that cuts or only touches bone, or presses a tissue that knows its stiffness, answers in the tick of the
+    sample; on another organ its balance is found a tick later. Of a guarded predictor and of what it hands over to, the
+    one counts that bears less stiffness. What is played of a cutter's teeth counts as far as it goes with the force.
+
+    A slow device holds each force until its next sample, so its loop is judged at its own rate.
+
+    Raises
+    ------
+    InputError
+        If the device is slow and the renderer or the prediction needs a sample in every tick.
+    """
+    limits, chosen = settings.limits, settings.coupling
+    if settings.is_slow and settings.renderer == "passivity":
+        raise _too_slow(settings, "renderer = passivity", "renderer = proxy or penalty")
+    loop = limits.loop(
+        1.0,
+        wall_damping_N_s_m=chosen.damping_N_s_m,
+        filter_s=1e-3 * settings.low_pass_ms,
+        model_ticks=_model_samples(settings),
+    )
+    loop = replace(loop, velocity_memory=VELOCITY_MEMORY, vibration=settings.vibration(loop.tick_s))
+    hand = settings.person.grip[:3]
+    loops = [replace(_delayed(settings, loop, step_s * settings.late), forecast=each) for each in _forecasts(settings)]
+    loop = min(loops, key=lambda each: critical_stiffness_N_m(in_hands(each, [hand])[0])) if loops[1:] else loops[0]
+    return _chosen(loop, hand, chosen.stiffness_N_m, limits.stiffness_limit_N_m, _steepest(settings))
+
+
+def lead_ticks(settings: LoopSettings) -> float:
+    """How far ahead the force is asked for: what its path to the motor delays it."""
+    return motor_lag_ticks(motor_path(settings))
+
+
+def motor_path(settings: LoopSettings) -> WallLoop:
+    """The path of a force to the motor: low-pass, latency, transport, hold and amplifier."""
+    path = replace(device_path(settings.limits), filter_s=1e-3 * settings.low_pass_ms)
+    return _delayed(settings, path, 0.0)
+
+
+def device_path(limits: DeviceParameters) -> WallLoop:
+    """Return the path of a force through the device to its motor, in ticks: transport, hold and amplifier.
+
+    A slow device holds each force longer than a tick, half of that time in the mean.
+    """
+    loop = sampled(limits).loop(1.0)
+    return replace(loop, tick_s=TICK_S, delay_s=loop.delay_s + 0.5 * (loop.tick_s - TICK_S))
+
+
+def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
+    """The predictor about a contact at rest, under a share of the device's force, and what it hands over to."""
+    predictor, chosen, limits = settings.predictor(), settings.coupling, settings.limits
+    if predictor is None:
+        return [None]
+    if settings.is_slow:
+        raise _too_slow(settings, "a prediction", "prediction = none")
+    limit = limits.stiffness_limit_N_m
+    stiffness = chosen.stiffness_N_m or (limit if isfinite(limit) else USUAL_N_M)
+    return [
+        forecast_of(
+            each,
+            lead_ticks=lead_ticks(settings),
+            stiffness_N_m=stiffness,
+            depth_m=REST_SHARE * limits.force_limit_N / stiffness,
+            model_ticks=chosen.model_ms,
+            gain=chosen.prediction_gain,
+        )
+        for each in ([predictor.inner, predictor.instead] if isinstance(predictor, Guarded) else [predictor])
+    ]
+
+
+def _turning_loop(settings: LoopSettings, *, step_s: float) -> WallLoop:
+    """The same for turns: but for a tool that only touches, their balance is found a tick later."""
+    limits, chosen = settings.limits, settings.coupling
+    loop = limits.turning_loop(1.0, filter_s=1e-3 * settings.low_pass_ms, model_ticks=_model_samples(settings))
+    hand = settings.person.grip[3:]
+    late = 0.0 if settings.contact == "touches" else step_s
+    return _chosen(_delayed(settings, loop, late), hand, chosen.stiffness_Nm_rad, limits.stiffness_limit_Nm_rad)
+
+
+def _chosen(
+    loop: WallLoop, hand: tuple[float, float, float], given: float | None, limit: float, steepest: float = 1.0
+) -> WallLoop:
+    """The loop with the stiffness that is given, or else half of the critical one in that hand, at most the limit."""
+    if given is None:
+        critical = critical_stiffness_N_m(in_hands(loop, [hand])[0])
+        given = min(SHARE * critical / steepest, limit) or limit
+    return loop.with_stiffness(given)
+
+
+def _delayed(settings: LoopSettings, loop: WallLoop, extra_s: float) -> WallLoop:
+    """The loop with the coupling's latency and some more [s]."""
+    return replace(loop, delay_s=loop.delay_s + 1e-3 * settings.coupling.delay_ms + extra_s)
+
+
+def _model_samples(settings: LoopSettings) -> int:
+    """Return the samples of the device during one answer of the model."""
+    return max(ceil(settings.coupling.model_ms * TICK_S / settings.sample_s - 1e-9), 1)
+
+
+def _too_slow(settings: LoopSettings, what: str, remedy: str) -> InputError:
+    """Return the error for a part of the loop that needs a sample in every tick."""
+    return InputError(
+        f"{settings.device} gives {settings.limits.rate_Hz:.4g} samples a second, but {what} needs {1.0 / TICK_S:g}. "
+        f"Use {remedy}, or a faster device"
+    )
+
+
+def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: str) -> str:
+    """One sentence for an unstable coupling."""
+    if verdict.critical_N_m == 0.0:
+        damping = settings.coupling.damping_N_s_m
+        return (
+            f"coupling.damping_N_s_m must leave some stiffness stable, got {damping:g}: lower it, "
+            "coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or pass --allow-unstable"
+        )
+    return (
+        f"coupling.{key} must be below {verdict.critical_N_m:.4g} to be stable with device = {settings.device} in the "
+        f"hand of {person_of(settings.hand)}, got {stiffness:g} (margin {100.0 * verdict.margin:.1f} %): use "
+        f"{verdict.nearest_N_m:g}, or pass --allow-unstable"
+    )
+
+
+def person_of(hand: str) -> str:
+    """A person of a group, in words."""
+    return f"a{'n' * (hand[0] in 'aeiou')} {hand}"

@@ -1,0 +1,131 @@
+"""The hyperelastic law that a scene asks for, with the small strains of the linear one, and the mesh for it."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from meshes.base.arrays import Array
+from meshes.base.errors import InputError
+from meshes.base.progress import Progress
+from tissue.materials.hyperelasticity import Hyperelastic
+from tissue.scene.named_parts import shown
+from tissue.scene.organ import Organ, SoftAnatomy
+from tissue.scene.scene import Scene
+from tissue.simulation.builders.device import opens_device
+from tissue.simulation.builders.organ import HeldMesh, elasticity_of, held_mesh
+
+if TYPE_CHECKING:
+    from tissue.models.organ.law import OrganLaw
+
+__all__ = ["coarser_mesh", "hindrance", "law_of", "organ_law"]
+
+NOT_WITH = ("capsule", "gravity", "viscous", "fibre_direction")
+"""Keys of an organ that a hyperelastic law cannot have yet."""
+SHAPE = {"mooney-rivlin": "second_share", "yeoh": "square_ratio", "ogden": "exponent"}
+"""What each law needs beside the modulus and Poisson's ratio; none is cited for an organ."""
+
+
+def hindrance(organ: Organ) -> str | None:
+    """Name of the first entry of an organ that no hyperelastic law can have yet; None where there is none."""
+    if organ.path != "condensed":
+        return "path"
+    return next((name for name in NOT_WITH if getattr(organ, name)), None)
+
+
+def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
+    """The law of the first cell, and what its moduli are multiplied by in each, shape (m,); None for the linear one.
+
+    Parameters
+    ----------
+    organ
+        What the scene states.
+    lame_Pa
+        Lame constants of small strains [Pa], shape (m, 2), in one proportion, as `elasticity_of` gives them.
+
+    Raises
+    ------
+    InputError
+        If the scene asks for what the law cannot have, or does not state what the law needs.
+    """
+    if organ.law == "linear":
+        return None
+    if name := hindrance(organ):
+        raise InputError(
+            f"organ.law and organ.{name} must be left out together, got {organ.law} and "
+            f"{shown(getattr(organ, name))}: remove one, a law of large strains has an isotropic elastic organ without "
+            "weight, on its condensed compliance"
+        )
+    first, shear = lame_Pa[0].tolist()
+    bulk = first + 2.0 / 3.0 * shear
+    return _law(organ, shear, bulk), np.asarray(lame_Pa[:, 1] / shear)
+
+
+def coarser_mesh(scene: Scene, *, path_m: Array, touch_edge_m: float, ratio: float, report: Progress) -> HeldMesh:
+    """The mesh of a scene's organ with edges longer by a ratio; other arguments as of `held_mesh`.
+
+    A nodule asks for cells as short as the scene's, and tetrahedra from a file keep theirs away from the tool.
+    """
+    anatomy = scene.anatomy
+    assert isinstance(anatomy, SoftAnatomy)
+    edge_mm = anatomy.edge_mm * (1.0 if anatomy.nodule_mm else ratio)
+    # Not as if it had been set: tetrahedra from a file have edges of their own.
+    given = anatomy.model_fields_set - {"edge_mm"}
+    coarse = type(anatomy).model_construct(given, **(dict(anatomy) | {"edge_mm": edge_mm}))
+    return held_mesh(coarse, path_m=path_m, touch_edge_m=ratio * touch_edge_m, report=report)
+
+
+def organ_law(
+    scene: Scene, lame_Pa: Array, *, path_m: Array, touch_edge_m: float, compute: str, report: Progress
+) -> "OrganLaw | None":
+    """The law of a scene's organ and the mesh on which it is solved; None for the linear one.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    lame_Pa
+        Lame constants of the cells of the organ's mesh [Pa], shape (m, 2).
+    path_m, touch_edge_m, report
+        As of `held_mesh`.
+    compute
+        Warp device name.
+
+    Raises
+    ------
+    InputError
+        As of `law_of`, or if a real device would wait for the law.
+    """
+    from tissue.models.organ.law import OrganLaw
+    from tissue.models.organ.soft_organ import SoftOrgan
+
+    organ = scene.organ
+    found = law_of(organ, lame_Pa)
+    if found is None:
+        return None
+    if opens_device(scene):
+        raise InputError(
+            f"device and organ.law must be left out together, got {scene.held.kind} and {organ.law}: remove one, "
+            "a real device would wait where solving the law takes longer than its interval"
+        )
+    law, factors = found
+    interval_s = 1e-3 * organ.law_interval_ms
+    if organ.law_edge_ratio == 1.0:
+        return OrganLaw(law, factors, interval_s)
+    mesh = coarser_mesh(scene, path_m=path_m, touch_edge_m=touch_edge_m, ratio=organ.law_edge_ratio, report=report)
+    assert isinstance(scene.anatomy, SoftAnatomy)
+    moduli, _ = elasticity_of(mesh.mesh, scene.anatomy, organ, scene.constants)
+    coarser = SoftOrgan(mesh.mesh, moduli, mesh.held, order=organ.order, device=compute)
+    return OrganLaw(law, factors, interval_s, (coarser, moduli[:, 1] / law.shear_Pa))
+
+
+def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
+    if organ.law == "neo-hookean":
+        return Hyperelastic.neo_hookean(shear_Pa, bulk_Pa=bulk_Pa)
+    if organ.law == "mooney-rivlin" and (share := organ.second_share) is not None:
+        return Hyperelastic.mooney_rivlin(0.5 * (1.0 - share) * shear_Pa, 0.5 * share * shear_Pa, bulk_Pa=bulk_Pa)
+    if organ.law == "yeoh" and organ.square_ratio is not None:
+        first = 0.5 * shear_Pa
+        return Hyperelastic.yeoh(first, organ.square_ratio * first, organ.cube_ratio * first, bulk_Pa=bulk_Pa)
+    if organ.law == "ogden" and organ.exponent is not None:
+        return Hyperelastic(bulk_Pa, ((shear_Pa, organ.exponent),))
+    raise InputError(f"organ.{SHAPE[organ.law]} must be given with organ.law = {organ.law}, got none: state it")
