@@ -12,13 +12,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+from own_imports import PACKAGES, imports, modules_in_strings, sources
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("meshes", "kernels", "tissue")
-FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
-MODULES = [
-    path.relative_to(ROOT).with_suffix("").as_posix().removesuffix("/__init__").replace("/", ".") for path in FILES
-]
+MODULES = list(sources(ROOT))
+FILES = list(sources(ROOT).values())
 QUICK_EXAMPLES = {"07_a_hand_on_the_wall"}
 EXAMPLES = [
     pytest.param(path, id=path.stem, marks=() if path.stem in QUICK_EXAMPLES else pytest.mark.slow)
@@ -61,24 +59,9 @@ def nodes_of(path):
 
 @cache
 def imports_of(path):
-    """Own modules that a file imports, anywhere in it but for type checkers alone."""
-    hidden = {
-        inner
-        for node in nodes_of(path)
-        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"
-        for inner in ast.walk(node)
-    }
-    found = set()
-    for node in nodes_of(path):
-        if node in hidden:
-            continue
-        if isinstance(node, ast.Import):
-            found |= {name.name for name in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path} imports relatively"
-            inner = {f"{node.module}.{name.name}" for name in node.names}
-            found |= inner.intersection(MODULES) or {node.module}
-    return {name for name in found if name.split(".")[0] in PACKAGES}
+    """Return the own modules that a file imports or names in a string, for type checkers included."""
+    tree = ast.parse(path.read_text("utf-8"))
+    return imports(tree, set(MODULES)) | modules_in_strings(tree, set(MODULES))
 
 
 def test_imports_only_go_down():
