@@ -4,8 +4,8 @@ from base64 import b64encode
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from tissue.fitting.bands.figures import band_lines
 from tissue.scene.used_constants import Used
+from tissue.show.report.band_text import band_lines
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.run_summary import Summary
 
